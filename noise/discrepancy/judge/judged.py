@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
@@ -91,10 +92,8 @@ class Judgement:
 
     def with_effects(self, effects: Sequence[str]) -> Judgement:
         """Return the judgement of the hypothesis with some of its effects."""
-        found = self.found
-        for name in [each for each in found.effects if each not in effects]:
-            found = self.search.left_out(found, name)
-        return self if found is self.found else Judgement(self.comparing, found)
+        found = reduce(self.search.left_out, (each for each in self.found.effects if each not in effects), self.found)
+        return self if found is self.found else replace(self, found=found)
 
     def settled(self) -> tuple[Judgement, tuple[Place, ...]]:
         """Return the judgement of a hypothesis that no exchange of one effect improves, with its places.
@@ -127,7 +126,7 @@ class Judgement:
         best = max(range(len(fewer)), key=lambda k: tests[k].p_value.value)
         if tests[best].is_below(FALSE_ALARM):
             return self
-        return Judgement(self.comparing, fewer[best])
+        return replace(self, found=fewer[best])
 
 
 def judge(

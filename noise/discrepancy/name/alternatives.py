@@ -11,7 +11,6 @@ from scipy.special import softmax
 from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
-from noise.fitting.stack import Stack
 
 N_DRAWS = 500  # of the Bayesian bootstrap
 
@@ -36,11 +35,6 @@ class Place:
     def best(self) -> Hypothesis:
         """The hypothesis that predicts best."""
         return max(self.fits.values(), key=lambda each: each.value)
-
-    @property
-    def stacks(self) -> dict[str, Stack]:
-        """Fitted stack with each effect in the place of the selected one."""
-        return {name: fit.stacks[0] for name, fit in self.fits.items()}
 
     @property
     def listed(self) -> dict[str, float]:

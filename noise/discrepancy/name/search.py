@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
@@ -150,9 +151,7 @@ class Search:
         without = self.left_out(found, found.effects[-1])
         if without.value <= before.value + MISSED:
             return self.pruned(exchanged(self, found))
-        null = without
-        for name in without.effects:
-            null = self.left_out(null, name)
+        null = reduce(self.left_out, without.effects, without)
         return null if null.value > self.null().value + MISSED else without
 
     def renewed(self, found: Hypothesis) -> Hypothesis:
@@ -246,7 +245,7 @@ class Search:
         also = replace(current, effects=(*current.effects, JITTER))
         gain = also.nats - self.left_out(also, JITTER).nats
         moving = [name for name in current.effects if acts_on_target(name, current.stacks, self.common, self.parts)]
-        effects = sum(float((current.nats - self.left_out(current, name).nats).sum()) for name in moving)
+        effects = float((current.nats - reduce(self.left_out, moving, current).nats).sum())
         needed = max(self.least_gain, 2.0 * standard_error(gain, self.pings), effects)
         return self.pruned(also) if gain.sum() > needed else current
 

@@ -93,7 +93,7 @@ def _thermometer(pair: tuple[str, str]) -> Measurement:
 
 def _proposed(place: Place, other: str, batch: Batch, rng: np.random.Generator) -> _Proposal:
     """Return the best design with the usual setting or with one other setting."""
-    own, rival = place.stacks[place.effect], place.stacks[other]
+    own, rival = (place.fits[name].stacks[0] for name in (place.effect, other))
     rivals = (
         Rival(own, rival, keys_of(rival, other, batch)),
         Rival(rival, own, keys_of(own, place.effect, batch)),
