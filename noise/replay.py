@@ -1,8 +1,8 @@
 """The readings of a simulator as a model, so that the differences of a diagnosis act on them and not on a law of them.
 
-The simulator's reading of each ping stands beside its condition, in the columns `SIMULATED`. Where the simulator heard
-an echo, the law is certain of its step of the register. Where it heard none, an echo that the differences make audible
-has the range that another law expects.
+The simulator's reading of each ping, and the one before it, stand beside its condition, in the columns `SIMULATED` and
+`SIMULATED_BEFORE`. Where the simulator heard an echo, the law is certain of its step of the register. Where it heard
+none, an echo that the differences make audible has the range that another law expects.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from acquisition import EchoStatus, Ping, Reading, Recording
+from acquisition import EchoStatus, Ping, Reading, Recording, previous
 from acquisition.arguments import checked
 from acquisition.arrays import Bits, Floats
 from acquisition.io.recording import MM
@@ -24,22 +24,36 @@ from noise.law import EchoLaw
 from noise.model import SonarModel, simulate
 
 SIMULATED = ("simulated_range_m", "simulated_status")
+SIMULATED_BEFORE = ("simulated_range_before_m", "simulated_status_before")
 RARE = 1e-9  # stands for the probability of an echo where the simulator heard none; only its ranges matter
 
 
 @checked
-def with_simulated(ping: Ping, simulated: Reading) -> Ping:
-    """Return pings with the readings of a simulator, (n,), in the columns `SIMULATED`."""
+def with_simulated(ping: Ping, simulated: Reading, before: Reading | None = None) -> Ping:
+    """Return pings with the readings of a simulator, (n,), in the columns `SIMULATED` and `SIMULATED_BEFORE`.
+
+    Args:
+        ping: conditions, (n,), in chronological order within each run.
+        simulated: readings of the simulator, (n,).
+        before: its reading before each of them, (n,); by default that of the ping before in the same run.
+    """
     check_pairs("simulated", ping, simulated)
-    values = (simulated.range, simulated.status.astype(np.float64))
-    return replace(ping, covariates={**ping.covariates, **dict(zip(SIMULATED, values, strict=True))})
+    before = previous(simulated, ping.run) if before is None else before
+    check_pairs("before", ping, before)
+    pairs = ((SIMULATED, simulated), (SIMULATED_BEFORE, before))
+    columns = {name: value for names, each in pairs for name, value in zip(names, _values(each), strict=True)}
+    return replace(ping, covariates={**ping.covariates, **columns})
 
 
-def given_readings(ping: Ping) -> Reading | None:
+def _values(reading: Reading) -> tuple[Floats, Floats]:
+    return reading.range, reading.status.astype(np.float64)
+
+
+def given_readings(ping: Ping, names: tuple[str, str] = SIMULATED) -> Reading | None:
     """Return the simulator's readings that stand beside n pings, (n,); None where there are none."""
-    if not set(SIMULATED) <= ping.covariates.keys():
+    if not set(names) <= ping.covariates.keys():
         return None
-    range_, status = (ping.covariates[name] for name in SIMULATED)
+    range_, status = (ping.covariates[name] for name in names)
     return Reading.of(range_, status.astype(np.uint8))
 
 

@@ -96,7 +96,7 @@ class Data:
     @cached_property
     def simulation(self) -> Simulation:
         """The user's simulation, as what corrections are measured against."""
-        return Simulation.of(self.baseline)
+        return Simulation.of(self.baseline, self.batch, self.rng("simulation"))
 
     @cached_property
     def forest(self) -> Grown:
@@ -280,16 +280,16 @@ def transport(
     recording must predict it better than that of the simulation. A forest of the recording says nothing of other
     conditions, under which readings are to be corrected too.
     """
-    readings, term = data.baseline.readings, options.with_term
+    readings, forest, term = data.baseline.readings, data.baseline.forest, options.with_term
     law = corrected if term is None else term.model
-    if readings is None or law is None or law is data.forest.model:
+    if readings is None or forest is None or law is None or law is data.forest.model:
         return None
     own = None if term is None else recalibrated(data.baseline.emulator, readings, data.rng("own term"))
     if term is not None and own is not None and not term.beats(own.model):
         return None
     carrying = Transport(data.baseline.emulator if own is None else own.model, law)
     rng = data.rng("transport")
-    better = is_carried(data.simulation, acting, carrying, data.folds.unseen, rng, sure=term is not None)
+    better = is_carried(data.simulation, forest, acting, carrying, data.folds.unseen, rng, sure=term is not None)
     return carrying if better else None
 
 

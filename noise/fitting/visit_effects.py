@@ -144,11 +144,14 @@ def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range, law.origin)
 
 
-def placements(visits: VisitEffects, batch: Batch, rng: np.random.Generator) -> Tensor:
-    """Return a random error of placement of each visit, careful or careless, at each of its pings, m, (n,)."""
+def in_visits(law: PhysicalLaw, visits: VisitEffects, batch: Batch, rng: np.random.Generator) -> PhysicalLaw:
+    """Return the law of pings whose visits have drawn errors of placement, careful or careless, and drawn levels."""
     wider, share = np.transpose(BANKS)
     sd = float(visits.placement_m) * rng.choice(wider, batch.n_visits, p=share)
-    return torch.from_numpy(rng.normal(0.0, sd)[batch.visit])
+    offset, change = (rng.normal(0.0, each, batch.n_visits)[batch.visit] for each in (sd, float(visits.level_sd_db)))
+    path, louder = law.state.direct, torch.from_numpy(change)
+    length = path.length + torch.from_numpy(offset) - path.walk * louder
+    return _with_state(law, law.state.with_direct(replace(path, length=length, level_db=path.level_db + louder)))
 
 
 def widened(state: State, variance: Tensor, level_variance: Tensor | None = None) -> State:

@@ -5,7 +5,7 @@ A ping has the errors of the readings that were made under conditions like its o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -100,6 +100,11 @@ class AnalogueForest:
         return cls(similar, error, *limits)
 
 
+def errors(batch: Batch) -> Floats:
+    """Return the error of each reading, m, (n,); infinite for no echo."""
+    return np.where(batch.reading.echo, batch.error, np.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class Grown:
     """A model with a forest, its readings, and their law by the trees that were grown without their visits."""
@@ -107,6 +112,14 @@ class Grown:
     model: SonarModel
     batch: Batch
     crossed: EchoLaw
+
+    def of_others(self, batch: Batch) -> AnalogueForest:
+        """Return a forest with the same trees and other readings of the same pings."""
+        assert isinstance(self.model, AnalogueForest)
+        rank = np.argsort(errors(self.batch), kind="stable")  # in which the forest holds the readings
+        error = errors(batch)[rank]
+        order = np.argsort(error, kind="stable")
+        return replace(self.model, similar=self.model.similar.ordered(order), error=error[order])
 
     @cached_property
     def crps(self) -> Floats:
@@ -127,7 +140,7 @@ def _grown(
     batch: Batch, names: tuple[str, ...], rng: np.random.Generator, max_range: float
 ) -> tuple[AnalogueForest, Grown]:
     similar, reached, unseen = similarity(batch, names, outcomes(batch), rng)
-    error = np.where(batch.reading.echo, batch.error, np.inf)
+    error = errors(batch)
     order = np.argsort(error, kind="stable")
     model = AnalogueForest(similar.ordered(order), error[order], batch.resolution, max_range)
     return model, Grown(model, batch, model.mixture(batch.ping, reached, unseen))

@@ -162,7 +162,7 @@ def least_greatest(value: Floats, slope: Floats, most: float) -> Floats:
 
 def applied(model: SonarModel, readings: Batch, rng: np.random.Generator) -> Batch:
     """Return readings with a model applied to them, each given what it made of the reading before."""
-    given, uniform = with_simulated(readings.ping, readings.reading), rng.random(len(readings))
+    given, uniform = with_simulated(readings.ping, readings.reading, readings.past), rng.random(len(readings))
     return sampled_in_order(readings, lambda each: model.law(given, each.past), uniform, model.remembers)
 
 

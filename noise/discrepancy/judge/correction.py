@@ -6,7 +6,8 @@ model. A correction is offered only if its CRPS is less than that of the user's 
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
 than what small changes of the range gain. Causes that predict better than the law without them, in the CRPS and in the
-log score, and an empirical term that does beyond chance, in the CRPS, need only do no harm (`improves`).
+log score, and an empirical term that predicts better beyond chance than the law without it and than the model that
+stands for the simulation, need only do no harm (`improves`).
 """
 
 from __future__ import annotations
@@ -56,14 +57,18 @@ class Option:
         """Mean CRPS, m."""
         return float(np.mean(np.concatenate([crps for _, crps in self.scored])))
 
-    def is_better_than(self, other: Option) -> bool:
+    def is_better_than(self, other: Option, tolerance: float | None = None) -> bool:
         """Return whether the CRPS is less than that of another model beyond chance, on visits that neither has seen."""
-        pairs = zip(self.scored, other.scored, strict=False)
-        return beyond_chance(np.concatenate([batch.unit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
+        own, others = (
+            (self.scored, other.scored) if tolerance is None else (self.score(tolerance), other.score(tolerance))
+        )
+        pairs = zip(own, others, strict=False)
+        return beyond_chance(np.concatenate([batch.unit_sums(crps - less) for (batch, less), (_, crps) in pairs]))
 
-    def beats(self, model: SonarModel) -> bool:
+    def beats(self, model: SonarModel, tolerance: float | None = None) -> bool:
         """Return whether the CRPS is less than that of a model which has seen none of the readings, beyond chance."""
-        return self.is_better_than(option_of([model] * len(self.scored), [batch for batch, _ in self.scored]))
+        other = option_of([model] * len(self.scored), [batch for batch, _ in self.scored])
+        return self.is_better_than(other, tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +143,9 @@ class Options:
             best = self.forest
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
-            sure = [self.with_causes if self.causes_gain else None, self.with_term]
+            term = self.with_term
+            found = term is not None and any(term.beats(before.model, each) for each in (None, CREDENCE_TOLERANCE))
+            sure = [self.with_causes if self.causes_gain else None, term if found else None]
             better = [each for each in sure if each is not None and _improves_on(before, each)]
             offered = min(better, key=lambda option: option.crps, default=None)
         return None if offered is None else offered.model

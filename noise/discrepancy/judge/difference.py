@@ -11,10 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from acquisition.arrays import Floats
+from acquisition.ping import CREDENCE_TOLERANCE
+from noise.discrepancy.baseline.forest import Grown
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.accepted import acting_on, applied
 from noise.discrepancy.judge.correction import Options
-from noise.discrepancy.judge.held_out import Simulation, beyond_chance, improves
+from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, improves
 from noise.discrepancy.judge.judged import Judged
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
@@ -64,6 +67,7 @@ def worsens(acting: SonarModel, simulation: Simulation, unseen: Batch, rng: np.r
 
 def is_carried(
     simulation: Simulation,
+    forest: Grown,
     acting: SonarModel | None,
     carrying: Transport,
     unseen: Batch,
@@ -73,23 +77,33 @@ def is_carried(
     """Return whether readings carried from one law to the other predict better beyond chance than the causes do.
 
     Where no cause acts, and it is sure that the other law is better, it is enough that they predict no worse. Without
-    conditions that both files have, they are then carried.
+    conditions that both files have, causes remain where they act; else a forest of the readings, before and after, says
+    what these predict under other conditions.
 
     Args:
         simulation: the user's simulation.
+        forest: of its readings.
         acting: the causes, acting on its readings; None where there are none, and the readings remain.
         carrying: carries readings from the law of the simulation to that of the recording.
         unseen: visits of the recording that no estimate used.
         rng: draws the readings.
         sure: whether the other law has been found better than the same without its empirical term, beyond chance.
     """
-    if simulation.readings is None:
+    if simulation.readings is None or (acting is not None and not simulation.has_any_of(unseen)):
         return False
-    if not simulation.has_any_of(unseen):
-        return acting is None
-    known = simulation if acting is None else _applied(acting, simulation, rng)
-    gain = _applied(carrying, simulation, rng).gain_on(known, unseen)
-    return bool(gain.sum() >= 0.0) if sure and acting is None else beyond_chance(gain)
+    if simulation.has_any_of(unseen):
+        known = simulation if acting is None else _applied(acting, simulation, rng)
+        carried = _applied(carrying, simulation, rng)
+        gain, near = carried.gain_on(known, unseen), carried.near.gain_on(known.near, unseen)
+    else:
+        models = forest.model, forest.of_others(applied(carrying, forest.batch, rng))
+        gain, near = (_gain(*models, unseen, tolerance) for tolerance in (None, CREDENCE_TOLERANCE))
+    return improves(gain, near) if sure and acting is None else beyond_chance(gain)
+
+
+def _gain(before: SonarModel, after: SonarModel, batch: Batch, tolerance: float | None) -> Floats:
+    """Return what a model gains on another in the CRPS of each unit, m."""
+    return batch.unit_sums(crps_of_each(before, batch, tolerance) - crps_of_each(after, batch, tolerance))
 
 
 def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:

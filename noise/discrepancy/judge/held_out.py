@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.stats import t as student
 
-from acquisition.arrays import Bits, Floats
+from acquisition.arrays import Floats
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
+from noise.discrepancy.locate.directed import drawn_in_visits
 from noise.discrepancy.moments.sample import positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import LEVEL, HeldOut, Interval, Score
 from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
@@ -39,8 +41,8 @@ class Simulation:
     """The user's own simulation: a model, and its readings where they were given as a file.
 
     Readings under the same condition are the simulation itself; a model of them only stands for it elsewhere: a forest
-    of them or the emulator, whichever predicts simulated visits better that it has not seen. What it misses there is
-    not counted against the simulation.
+    of them or the emulator, whichever predicts the recording better. What it misses of simulated visits that it has not
+    seen is not counted against the simulation.
 
     Attributes:
         model: the given model, or the one that stands for the readings.
@@ -57,20 +59,24 @@ class Simulation:
     tolerance: float | None = None
 
     @classmethod
-    def of(cls, base: Baseline) -> Simulation:
-        """Return the simulation of a baseline."""
-        if base.forest is None or base.before is not base.forest.model:
+    def of(cls, base: Baseline, recorded: Batch, rng: np.random.Generator) -> Simulation:
+        """Return the simulation of a baseline that a recording is compared with.
+
+        Args:
+            base: the simulation.
+            recorded: readings of the recording.
+            rng: draws visits under the simulation's law.
+        """
+        grown = base.forest
+        if grown is None or base.before is not grown.model:
             return cls(base.before)
-        model: SonarModel = base.before
-        few, chosen = base.forest.batch, base.forest.crps
-        near = base.forest.crps_within(CREDENCE_TOLERANCE)
-        if base.held_out is not None:
-            unseen = np.isin(few.condition, base.held_out.condition)
-            by_emulator = crps_of_each(base.emulator, few.select(unseen))
-            if by_emulator.mean() < chosen[unseen].mean():
-                model, few, chosen = base.emulator, few.select(unseen), by_emulator
-                near = crps_of_each(model, few, CREDENCE_TOLERANCE)
-        return cls(model, base.readings, _excess(few, chosen), _excess(few, near, CREDENCE_TOLERANCE))
+        model, score, few = base.before, grown.crps_within, grown.batch
+        if base.held_out is not None and crps(base.emulator, recorded) < crps(model, recorded):
+            model, few = base.emulator, few.select(np.isin(few.condition, base.held_out.condition))
+            score = partial(crps_of_each, model, few)
+        drawn = drawn_in_visits(base.law, grown.batch, rng)
+        excess, near = (_excess(few, score(each), base.law, drawn, each) for each in (None, CREDENCE_TOLERANCE))
+        return cls(model, base.readings, excess, near)
 
     @cached_property
     def near(self) -> Simulation:
@@ -82,18 +88,19 @@ class Simulation:
         return self._scored(batch)[0]
 
     @cached_property
-    def _scores(self) -> dict[Batch, tuple[Floats, Bits]]:
+    def _scores(self) -> dict[Batch, tuple[Floats, float]]:
         """What has been scored: several models are compared with the simulation on the same readings."""
         return {}
 
-    def _scored(self, batch: Batch) -> tuple[Floats, Bits]:
-        """Return the CRPS of each reading, m, (n,), and whether it is an estimate, (n,)."""
+    def _scored(self, batch: Batch) -> tuple[Floats, float]:
+        """Return the CRPS of each reading, m, (n,), and the standard error of their sum where they are estimates, m."""
         if batch not in self._scores:
-            known = self._by_readings(batch)
+            known, error = self._by_readings(batch), 0.0
             estimated = np.isnan(known)
             if estimated.any():
                 known[estimated] = (crps_of_each(self.model, batch, self.tolerance) - self.excess[0])[estimated]
-            self._scores[batch] = known, estimated
+                error = float(estimated.sum() * self.excess[1])
+            self._scores[batch] = known, error
         return self._scores[batch]
 
     def _by_readings(self, batch: Batch) -> Floats:
@@ -125,8 +132,7 @@ class Simulation:
 
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
-        n_estimated = sum(int(self._scored(batch)[1].sum()) for batch, _ in scored)
-        return beyond_chance(self.gain(*scored), n_estimated * self.excess[1])
+        return beyond_chance(self.gain(*scored), sum(self._scored(batch)[1] for batch, _ in scored))
 
 
 def beyond_chance(gain: Floats, error: float = 0.0) -> bool:
@@ -163,19 +169,40 @@ def ends(batch: Batch, tolerance: float | None = None) -> Floats:
     return np.clip(error, -reach, reach)
 
 
-def _excess(batch: Batch, crps: Floats, tolerance: float | None = None) -> tuple[float, float]:
-    """Return the mean of a model's CRPS, (n,), beyond that of the readings by each other, m, with its standard error.
+def _excess(batch: Batch, crps: Floats, law: Stack, drawn: Batch, tolerance: float | None) -> tuple[float, float]:
+    """Return the mean CRPS of a model beyond that of the simulation, m, with its standard error.
 
-    Without visits of several readings it is unknown, and 0 as if the model were the simulation.
+    Readings of one visit predict each other better than any law of the simulation predicts them, as they share the
+    placement of the target and its level. What that gains on readings drawn from a law is no error of the model.
+    Without visits of several readings the excess is unknown, and 0 as if the model were the simulation.
+
+    Args:
+        batch: readings of the simulation.
+        crps: of the model, m, (n,).
+        law: of the simulation.
+        drawn: readings drawn from it.
+        tolerance: of the CRPS.
+    """
+    found = _beyond_repeatability(batch, crps, tolerance)
+    by_visit = _beyond_repeatability(drawn, crps_of_each(law.single_ping_model, drawn, tolerance), tolerance)
+    if found is None or by_visit is None:
+        return 0.0, 0.0
+    return max(found[0] - by_visit[0], 0.0), float(np.hypot(found[1], by_visit[1]))
+
+
+def _beyond_repeatability(batch: Batch, crps: Floats, tolerance: float | None) -> tuple[float, float] | None:
+    """Return the mean of a CRPS, (n,), beyond that of the readings by the others of their visit, m, with its error.
+
+    None where no visit has several readings.
     """
     value = ends(batch, tolerance)
     own = [np.full(len(rows), repeatability(value[rows])) for rows in batch.visit_rows]
     beyond = crps - np.concatenate(own)
     known = ~np.isnan(beyond)
     if not known.any():
-        return 0.0, 0.0
+        return None
     mean = ClusterMean.of(beyond[known], batch.visit[known])
-    return max(mean.mean, 0.0), float(np.nan_to_num(mean.error))
+    return mean.mean, float(np.nan_to_num(mean.error))
 
 
 def repeatability(value: Floats) -> Floats:

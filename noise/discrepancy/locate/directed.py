@@ -28,7 +28,7 @@ from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, law_of, log_prob, placements, shifted, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, in_visits, law_of, log_prob, single_ping_law
 from noise.law import EchoLaw, GivenNumbers
 from noise.physical import PhysicalLaw, PhysicalModel
 
@@ -92,21 +92,21 @@ def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Samp
     cluster = sample.cluster[np.concatenate(rows)]
     recorded = sample.recorded.thin(MAX_PINGS)
     if sample.simulated is None:
-        return Sample(recorded, _drawn(law, recorded, rng)), np.concatenate([cluster, cluster])
+        return Sample(recorded, drawn_in_visits(law, recorded, rng)), np.concatenate([cluster, cluster])
     return Sample(recorded, sample.simulated.thin(MAX_PINGS)), cluster
 
 
-def _drawn(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
-    """Return the batch with readings drawn from a law, of which pings of a visit share the placement of the target.
+def drawn_in_visits(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch:
+    """Return the batch with readings drawn from a law, of which pings of a visit share placement and level.
 
     Where the law remembers, each reading depends on the one before it in its run. Readings are drawn again from the
     same random numbers until none changes, which takes as many rounds as the longest chain of such readings.
     """
     model, visits = law.build()
-    offset = placements(visits, batch, rng)
+    seed = int(rng.integers(2**63))
 
     def drawing(each: Batch) -> PhysicalLaw:
-        return shifted(law_of(model, each), offset, torch.zeros_like(offset))
+        return in_visits(law_of(model, each), visits, each, np.random.default_rng(seed))
 
     return sampled_in_order(batch, drawing, rng.random(len(batch)), model.remembers)
 

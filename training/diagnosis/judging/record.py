@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from acquisition import EchoStatus, Reading, Recording
+from acquisition import EchoStatus, Reading, Recording, previous
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise import discrepancy
@@ -144,11 +144,11 @@ def ensemble_crps(
     batch, pairs = Batch.of(recording), list(_ensembles(recording, other))
     row = np.concatenate([np.repeat(rows, len(members)) for rows, members in pairs])
     member = np.concatenate([np.tile(members, len(rows)) for rows, members in pairs])
-    moved = other.reading.range[member] + batch.ping.distance[row] - other.ping.distance[member]
-    status = other.reading.status[member]
-    drawn = Reading.of(np.where(status == EchoStatus.ECHO, np.maximum(moved, other.resolution), 0.0), status)
+    shift = batch.ping.distance[row] - other.ping.distance[member]
+    drawn = _moved(other.reading[member], shift, other.resolution)
     if model is not None:
-        law = model.law(with_simulated(with_order(batch.ping)[row], drawn), batch.past[row])
+        before = _moved(previous(other.reading, other.ping.run)[member], shift, other.resolution)
+        law = model.law(with_simulated(with_order(batch.ping)[row], drawn, before), batch.past[row])
         drawn = law.sample(np.random.default_rng(0))
     distance, out = batch.ping.distance, np.empty(len(batch))
     end, drawn_end = _ends(batch.reading, distance, tolerance), _ends(drawn, distance[row], tolerance)
@@ -156,6 +156,12 @@ def ensemble_crps(
     for (rows, members), values in zip(pairs, ensembles, strict=True):
         out[rows] = fair_crps(end[rows], values.reshape(len(rows), len(members)))
     return out
+
+
+def _moved(reading: Reading, shift: Floats, step: float) -> Reading:
+    """Return readings whose echoes are moved by a shift, m, (n,), to no less than a step, m."""
+    echo = reading.status == EchoStatus.ECHO
+    return Reading.of(np.where(echo, np.maximum(reading.range + shift, step), 0.0), reading.status)
 
 
 def _ensembles(recording: Recording, other: Recording) -> Iterator[tuple[Ints, Ints]]:

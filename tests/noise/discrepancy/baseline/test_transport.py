@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from acquisition import EchoStatus, Ping, Reading
 from noise import GaussianModel, load_model, save_model
+from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.difference import is_carried
 from noise.discrepancy.judge.held_out import Simulation
@@ -41,16 +42,57 @@ def test_between_equal_laws_every_reading_remains(steps, miss, seed):
     np.testing.assert_allclose(found.range, reading.range, atol=0.001 + 1e-9)  # the end of a step may be the next one
 
 
-def test_carried_readings_have_the_mean_and_spread_of_the_other_law_in_the_order_they_had():
-    before = model_of({**LOUD, "travel_time_jitter": {"sigma_m": 0.004}})
-    after = model_of({**LOUD, "travel_time_jitter": {"sigma_m": 0.008}, "zero_offset": {"offset_m": 0.03}})
+@pytest.mark.parametrize(("before_m", "after_m"), [(0.004, 0.008), (0.008, 0.004)])
+def test_carried_readings_have_the_mean_and_spread_of_the_other_law(before_m, after_m):
+    before = model_of({**LOUD, "travel_time_jitter": {"sigma_m": before_m}})
+    after = model_of({**LOUD, "travel_time_jitter": {"sigma_m": after_m}, "zero_offset": {"offset_m": 0.03}})
     reading = drawn(before)
     found = carried(Transport(before, after), reading)
     expected = drawn(after, seed=2).range
-    assert found.range.mean() == pytest.approx(expected.mean(), abs=4 * 0.008 * np.sqrt(2 / N))
+    assert found.range.mean() == pytest.approx(expected.mean(), abs=4 * after_m * np.sqrt(2 / N))
     assert found.range.std() == pytest.approx(expected.std(), rel=0.08)
-    order = np.argsort(reading.range, kind="stable")[10:-10]  # beyond, ranks are guesses
-    assert np.all(np.diff(found.range[order]) >= -0.0031)  # those of one step come in any order
+    if after_m < before_m:
+        order = np.argsort(reading.range, kind="stable")[10:-10]  # beyond, ranks are guesses
+        assert np.all(np.diff(found.range[order]) >= -0.0031)  # those of one step come in any order
+    else:
+        assert np.corrcoef(reading.range, found.range)[0, 1] == pytest.approx(before_m / after_m, abs=0.05)
+
+
+def test_noise_that_is_new_with_every_reading_is_so_where_it_is_added():
+    """A visit whose placement moves all its readings alike is no narrower for it under a noisier law."""
+    before, after = (model_of({**LOUD, "travel_time_jitter": {"sigma_m": sigma}}) for sigma in (0.004, 0.016))
+    visit = Reading.of(np.full(N, 2.004))
+    found = carried(Transport(before, after), visit).range
+    assert found.std() == pytest.approx(np.sqrt(0.016**2 - 0.004**2), rel=0.08)
+    assert found.mean() == pytest.approx(2.004, abs=0.0015)
+
+
+class Follower:
+    """A sonar whose reading lies around the one before it, of which it keeps a share of the error."""
+
+    resolution, remembers = 0.001, True
+
+    def __init__(self, share):
+        self.share = share
+
+    def law(self, ping, past=None):
+        error = 0.0 if past is None else np.where(past.echo, past.range - ping.distance, 0.0)
+        moved = Ping.of(distance=ping.distance + self.share * error)
+        return GaussianModel(0.004, 0.0, miss=0.0).law(moved)
+
+
+def test_each_law_is_that_given_the_reading_before_in_its_own_file():
+    """Both sonars keep a share of the error before; the other keeps less, and the innovations are the same."""
+    rng, error = np.random.default_rng(0), np.zeros(N)
+    innovation = rng.normal(0.0, 0.004, N)
+    for k in range(1, N):
+        error[k] = 0.9 * error[k - 1] + innovation[k]
+    reading = Reading.of(np.round(2.0 + error, 3))
+    before = Reading.of(np.r_[2.0, reading.range[:-1]])
+    found = Transport(Follower(0.9), Follower(0.5)).law(
+        with_simulated(PING, reading, before), Reading.of(np.full(N, 2.0))
+    )
+    np.testing.assert_allclose(found.sample(rng).range[1:], 2.0 + innovation[1:], atol=0.0035)
 
 
 def test_silence_becomes_as_frequent_as_under_the_other_law():
@@ -93,12 +135,15 @@ def test_readings_are_carried_only_to_a_law_that_predicts_unseen_visits_better(o
     other = model_of({**LOUD, "zero_offset": {"offset_m": offset_m}})
     transport = Transport(model_of(LOUD), other)
     simulation = Simulation(model_of(LOUD), simulated)
-    assert is_carried(simulation, None, transport, recorded, np.random.default_rng(0)) is expected
+    forest = grown(simulated, np.random.default_rng(0))
+    assert is_carried(simulation, forest, None, transport, recorded, np.random.default_rng(0)) is expected
 
 
-def test_without_common_conditions_readings_are_carried_where_no_cause_acts():
+@pytest.mark.parametrize(("offset_m", "expected"), [(0.03, True), (-0.03, False)])
+def test_without_common_conditions_a_forest_of_the_readings_tells_whether_to_carry_them(offset_m, expected):
     simulated, recorded = batch_of(LOUD, seed=1), batch_of({**LOUD, "zero_offset": {"offset_m": 0.03}}, seed=2)
-    transport = Transport(model_of(LOUD), model_of({**LOUD, "zero_offset": {"offset_m": 0.03}}))
+    transport = Transport(model_of(LOUD), model_of({**LOUD, "zero_offset": {"offset_m": offset_m}}))
     simulation, rng = Simulation(model_of(LOUD), simulated), np.random.default_rng(0)
-    assert is_carried(simulation, None, transport, recorded, rng)
-    assert not is_carried(simulation, model_of(LOUD), transport, recorded, rng)
+    forest = grown(simulated, rng)
+    assert is_carried(simulation, forest, None, transport, recorded, rng) is expected
+    assert not is_carried(simulation, forest, model_of(LOUD), transport, recorded, rng)

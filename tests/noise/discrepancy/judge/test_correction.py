@@ -67,6 +67,18 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     assert Options(unlucky, None, None, worse, False).corrected(before) is None
 
 
+def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
+    """It predicts better beyond chance than the law that it corrects, and no better than what is known to be so."""
+    unseen, seen, forest = parts
+    term = option(model_of(MOVED), unseen, seen)
+    assert term.beats(model_of({**MOVED, "zero_offset": {"offset_m": 0.1}}))
+    worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in term.score(tolerance)))
+    found = [
+        Options(None, term, None, worse, False).corrected(Simulation(model)) for model in (term.model, model_of(LOUD))
+    ]
+    assert found == [None, term.model]
+
+
 @pytest.mark.parametrize(("offset_m", "better"), [(0.03, True), (-0.03, False)])
 def test_two_visits_suffice_to_apply_a_cause_that_predicts_them_better(parts, offset_m, better):
     """Between two visits no test reaches 5 %: the probability of the cause says that the gain is no chance."""

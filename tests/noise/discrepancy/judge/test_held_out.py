@@ -10,6 +10,8 @@ from scoringrules import crps_ensemble
 from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each, fair_crps, repeatability
+from noise.discrepancy.locate.directed import drawn_in_visits
+from noise.fitting.stack import VISITS, Stack
 from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
 METRES = st.floats(0.0, 11.0)
@@ -54,15 +56,28 @@ def test_what_a_model_misses_of_a_simulation_is_not_held_against_it():
     assert Simulation(crude.model, readings).is_beaten((elsewhere, crps_of_each(model_of(), elsewhere)))
 
 
-def test_the_better_model_of_a_simulation_stands_for_it():
+def test_that_model_of_a_simulation_stands_for_it_which_predicts_the_recording_better():
     """A forest of few places knows less of other places than the law that made the readings."""
-    readings = batch_of({}, seed=1)
+    readings, recorded = batch_of({}, seed=1), batch_of({}, seed=2)
     rng = np.random.default_rng(0)
     held_out = readings.select(readings.condition % 5 == 0)
     forest, law, wrong = grown(readings, rng), model_of(), model_of({"sensitivity": {"loss_db": 70.0}})
     for emulator, expected in ((law, law), (wrong, forest.model)):
         base = Baseline(law_of(), readings, forest.model, emulator, held_out, forest)
-        assert Simulation.of(base).model is expected
+        assert Simulation.of(base, recorded, rng).model is expected
+
+
+def test_what_the_readings_of_a_visit_share_is_no_error_of_the_law():
+    """They predict each other better by millimetres than the very law does that they are drawn from."""
+    loud = {"sensitivity": {"loss_db": 0.0}}
+    careless = Stack.of(model_of(loud)).put([(VISITS, "placement_m")], [0.01])
+    rng, model = np.random.default_rng(0), careless.single_ping_model
+    readings, recorded = (drawn_in_visits(careless, batch_of(loud, seed=seed, visits=200), rng) for seed in (1, 2))
+    forest = grown(readings, rng)
+    by_others = np.mean([repeatability(readings.error[rows]) for rows in readings.visit_rows])
+    assert crps_of_each(model, readings).mean() - by_others > 0.004
+    found = Simulation.of(Baseline(careless, readings, forest.model, model, readings, forest), recorded, rng)
+    assert found.excess[0] < 0.001
 
 
 def test_how_little_is_known_of_a_model_does_not_matter_where_readings_speak():
