@@ -276,7 +276,8 @@ def transport(
 ) -> Transport | None:
     """Return what carries readings of the simulation to the recording's law; None where the causes predict as well.
 
-    Both laws are recalibrated: what the emulator gets wrong of the simulation is no difference, and the law of the
+    The laws differ by the causes and by their recalibration alone, so that where a target begins to be heard, say, is
+    the same in both. Both are recalibrated: what a law gets wrong of the simulation is no difference, and that of the
     recording must predict it better than that of the simulation. A forest of the recording says nothing of other
     conditions, under which readings are to be corrected too.
     """
@@ -284,10 +285,10 @@ def transport(
     law = corrected if term is None else term.model
     if readings is None or forest is None or law is None or law is data.forest.model:
         return None
-    own = None if term is None else recalibrated(data.baseline.emulator, readings, data.rng("own term"))
+    own = None if term is None else recalibrated(options.without, readings, data.rng("own term"))
     if term is not None and own is not None and not term.beats(own.model):
         return None
-    carrying = Transport(data.baseline.emulator if own is None else own.model, law)
+    carrying = Transport(options.without if own is None else own.model, law)
     rng = data.rng("transport")
     better = is_carried(data.simulation, forest, acting, carrying, data.folds.unseen, rng, sure=term is not None)
     return carrying if better else None

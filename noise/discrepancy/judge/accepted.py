@@ -26,7 +26,7 @@ from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LEFT_LEVEL, MOVED_SHARE
 from noise.fitting.batch import Batch
-from noise.fitting.stack import JITTER, SPREAD, Stack
+from noise.fitting.stack import Stack
 from noise.model import SonarModel
 from noise.replay import Replay, with_simulated
 
@@ -99,7 +99,7 @@ class Comparing:
                     break
                 tested, agreed = self.test(matched), matched
                 yield tested, matched
-        keys = (*self.search.keys(effects), *(SPREAD if JITTER in effects else ()))
+        keys = self.search.differing(effects)
         shared = common.put(keys, [law.get(key) for key in keys])
         for compared in (Comparison(law, common, self.sample), Comparison(shared, common, self.sample)):
             yield self.test(compared), compared

@@ -81,6 +81,7 @@ class Options:
         on_simulation: the causes on what stands for the simulation; None where that is the emulator.
         forest: a forest of the recording.
         causes_gain: whether the law with causes predicts better than the emulator.
+        without: the law with the causes taken back, and all else as the recording has it.
     """
 
     with_causes: Option | None
@@ -88,6 +89,7 @@ class Options:
     on_simulation: Option | None
     forest: Option
     causes_gain: bool
+    without: SonarModel
 
     @property
     def causes_only(self) -> SonarModel | None:
@@ -123,13 +125,14 @@ class Options:
             with_causes = replace(option_of(laws, parts), nats=nats)
             gain = gains(with_causes, emulator)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
-        law = offered(judged.final.single.stack, step_m)
+        stack, keys = judged.final.single.stack, search.differing(judged.believed)
+        law, without = (offered(each, step_m) for each in (stack, stack.put(keys, map(search.common.get, keys))))
         term = recalibrated(law, search.folds.both, rng)
         with_term = None if term is None else _crossed(term, search, parts)
         # the term is compared with the very law that it corrects, so that both were fitted to the same readings
         if with_term is not None and not with_term.is_better_than(option_of([law] * len(parts), parts)):
             with_term = None
-        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts), gain)
+        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts), gain, without)
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.

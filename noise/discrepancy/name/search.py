@@ -277,6 +277,10 @@ class Search:
         every = (key for name in effects for key in keys_of(self.common, name, self.folds.both))
         return tuple(key for key in every if key not in SPREAD)  # the scatter is free in every fit
 
+    def differing(self, effects: Sequence[str]) -> tuple[Key, ...]:
+        """Return the parameters of effects, and those of the scatter where it is one of them."""
+        return (*self.keys(effects), *(SPREAD if JITTER in effects else ()))
+
     def round(self, current: Hypothesis) -> Hypothesis | None:
         """Return the hypothesis with the effect that gains most; None when no gain is beyond chance.
 

@@ -1,6 +1,7 @@
 """A correction is offered where it beats the simulation, and nothing is offered where it is the simulation."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ import pytest
 from noise.discrepancy.baseline.forest import grown
 from noise.discrepancy.judge.correction import Option, Options, gains, offered, option_of
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each, log_score
+from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.search import Search
+from noise.fitting.stack import LEVEL_SD
 from tests.noise.discrepancy.made import batch_of, law_of, model_of
 
 LOUD = {"sensitivity": {"loss_db": 0.0}}
 MOVED = {**LOUD, "zero_offset": {"offset_m": 0.03}}
+WITHOUT = model_of(LOUD)
 
 
 def option(model, *batches):
@@ -33,13 +38,13 @@ def parts():
 def test_the_law_that_made_the_readings_is_offered(parts):
     unseen, seen, forest = parts
     laws = (option(model_of(MOVED), unseen, seen), option(model_of(LOUD), unseen, seen))
-    assert Options(*laws, None, forest, True).corrected(Simulation(model_of(LOUD))) is laws[0].model
+    assert Options(*laws, None, forest, True, WITHOUT).corrected(Simulation(model_of(LOUD))) is laws[0].model
 
 
 def test_nothing_beats_a_simulation_that_is_right(parts):
     unseen, seen, forest = parts
     law = option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen)
-    assert Options(law, None, None, forest, True).corrected(Simulation(model_of(MOVED))) is None
+    assert Options(law, None, None, forest, True, WITHOUT).corrected(Simulation(model_of(MOVED))) is None
 
 
 @pytest.mark.parametrize("certain", [True, False])
@@ -51,7 +56,7 @@ def test_a_gain_too_small_for_the_crps_counts_where_the_log_score_is_certain_of_
     assert before.gain(*law.scored).sum() > 0.0
     assert not before.is_beaten(*law.scored)
     worse = Option(forest.model, lambda tolerance: tuple((batch, 2.0 * crps) for batch, crps in law.score(tolerance)))
-    found = Options(law, None, None, worse, certain).corrected(before)
+    found = Options(law, None, None, worse, certain, WITHOUT).corrected(before)
     assert found is (law.model if certain else None)
 
 
@@ -63,8 +68,8 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     unlucky = Option(law.model, lambda tolerance: ((batch, missed),) if tolerance is None else law.score(tolerance))
     assert before.gain(*unlucky.scored).sum() < 0.0
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in unlucky.score(tolerance)))
-    assert Options(unlucky, None, None, worse, True).corrected(before) is law.model
-    assert Options(unlucky, None, None, worse, False).corrected(before) is None
+    assert Options(unlucky, None, None, worse, True, WITHOUT).corrected(before) is law.model
+    assert Options(unlucky, None, None, worse, False, WITHOUT).corrected(before) is None
 
 
 def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
@@ -74,7 +79,8 @@ def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
     assert term.beats(model_of({**MOVED, "zero_offset": {"offset_m": 0.1}}))
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in term.score(tolerance)))
     found = [
-        Options(None, term, None, worse, False).corrected(Simulation(model)) for model in (term.model, model_of(LOUD))
+        Options(None, term, None, worse, False, WITHOUT).corrected(Simulation(model))
+        for model in (term.model, model_of(LOUD))
     ]
     assert found == [None, term.model]
 
@@ -90,7 +96,24 @@ def test_two_visits_suffice_to_apply_a_cause_that_predicts_them_better(parts, of
 
 def test_without_a_law_the_forest_is_offered(parts):
     forest = parts[2]
-    assert Options(None, None, None, forest, False).corrected(Simulation(model_of(LOUD))) is forest.model
+    assert Options(None, None, None, forest, False, WITHOUT).corrected(Simulation(model_of(LOUD))) is forest.model
+
+
+def test_the_law_without_causes_has_all_else_as_the_recording_has_it():
+    """So that where a target begins to be heard is the same in both, and readings carried between them are not lost."""
+    batch, rng = batch_of(MOVED, seed=1), np.random.default_rng(0)
+    search = Search(law_of(), Folds.of(batch, rng), None, rng)
+    stack = search.common.at({("zero_offset", "offset_m"): 0.03, LEVEL_SD: 6.0})
+    one = SimpleNamespace(stack=stack)
+    judged = SimpleNamespace(
+        believed=("zero_offset",), final=SimpleNamespace(single=one), found=SimpleNamespace(stacks=(stack, stack))
+    )
+    before = Simulation(model_of(LOUD))
+    options = Options.of(judged, search, grown(search.folds.both, rng), before, model_of(LOUD), 0.001, rng)
+    law, without = (each.law(batch.ping) for each in (options.causes_only, options.without))
+    np.testing.assert_array_equal(without.echo, law.echo)
+    heard = law.echo > 0.5
+    np.testing.assert_allclose((law.quantile(0.5) - without.quantile(0.5))[heard], 0.03, atol=0.0011)
 
 
 def test_an_offered_law_has_the_coarser_register():
