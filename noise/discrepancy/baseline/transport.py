@@ -2,13 +2,13 @@
 
 An echo keeps its rank: it lies at the same share of the echoes of the one law as before of the other (quantile mapping,
 optimal transport in one dimension; Villani 2003, section 2.2). Each law is that given the reading before in its own
-file (the rearrangement of Knothe and Rosenblatt, ibid., chapter 1). Where the other law is wider, what it has more is
-new with every reading, as noise is, and the echo keeps its rank only in part: the normal scores of both ranks are
-correlated by the ratio of the widths. An echo is lost, and silence becomes an echo, as often as the probabilities of an
-echo differ. What has no name, and what no effect can do to a given reading, is carried too. Where an echo is no part of
-the simulation's law, that law is wrong there, and so is the other, which rests on it: the echo moves by the difference
-of their medians, in which the error cancels. An echo that the simulation's law all but excludes stays one, and so does
-silence, as far as they say that the law is wrong (Bayes).
+file (the rearrangement of Knothe and Rosenblatt; Villani 2009, chapter 1). Where the other law is wider, what it has
+more is new with every reading, as noise is, and the echo keeps its rank only in part: the normal scores of both ranks
+are correlated by the ratio of the widths. An echo is lost, and silence becomes an echo, as often as the probabilities
+of an echo differ. What has no name, and what no effect can do to a given reading, is carried too. Where an echo is no
+part of the simulation's law, that law is wrong there, and so is the other, which rests on it: the echo moves by the
+difference of their medians, in which the error cancels. An echo that the simulation's law all but excludes stays one,
+and so does silence, as far as they say that the law is wrong (Bayes).
 """
 
 from __future__ import annotations
