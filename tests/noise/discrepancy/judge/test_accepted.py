@@ -25,7 +25,7 @@ def crowded(distance):
 
 def comparing(recorded, simulated, keys):
     """Return what compares a recording with a simulation of the same sonar that differs by a few parameters."""
-    search = SimpleNamespace(common=LAW, keys=lambda effects: keys, folds=SimpleNamespace(both=recorded))
+    search = SimpleNamespace(common=LAW, differing=lambda effects: keys, folds=SimpleNamespace(both=recorded))
 
     def test(compared: Comparison):
         return orthogonal_test(compared.recorded, compared.simulated, compared.sample, np.random.default_rng(0))
