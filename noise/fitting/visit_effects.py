@@ -144,13 +144,18 @@ def _with_state(law: PhysicalLaw, state: State) -> PhysicalLaw:
     return PhysicalLaw(state, law.distance, law.resolution, law.max_range, law.origin)
 
 
-def in_visits(law: PhysicalLaw, visits: VisitEffects, batch: Batch, rng: np.random.Generator) -> PhysicalLaw:
-    """Return the law of pings whose visits have drawn errors of placement, careful or careless, and drawn levels."""
+def visit_errors(visits: VisitEffects, batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    """Return random errors of each visit at its pings: placement, careful or careless, m, and level, dB, (n,) each."""
     wider, share = np.transpose(BANKS)
     sd = float(visits.placement_m) * rng.choice(wider, batch.n_visits, p=share)
-    offset, change = (rng.normal(0.0, each, batch.n_visits)[batch.visit] for each in (sd, float(visits.level_sd_db)))
-    path, louder = law.state.direct, torch.from_numpy(change)
-    length = path.length + torch.from_numpy(offset) - path.walk * louder
+    offset, louder = (rng.normal(0.0, each, batch.n_visits)[batch.visit] for each in (sd, float(visits.level_sd_db)))
+    return torch.from_numpy(offset), torch.from_numpy(louder)
+
+
+def in_visits(law: PhysicalLaw, offset: Tensor, louder: Tensor) -> PhysicalLaw:
+    """Return the law of pings with errors of their visits: placement, m, and level, dB, (n,) each."""
+    path = law.state.direct
+    length = path.length + offset - path.walk * louder
     return _with_state(law, law.state.with_direct(replace(path, length=length, level_db=path.level_db + louder)))
 
 

@@ -32,8 +32,8 @@ from noise.law import EchoLaw
 from noise.model import SonarModel
 from noise.replay import SIMULATED_BEFORE, given_readings
 
-UPPER = 0.8  # quantile of a law's echoes that tells how wide it is; clear of tails, and of one step in most laws
-N_RANKS = 4  # of an echo within the step of its register
+UPPER = 0.8  # quantile of a law's echoes that tells how wide it is; clear of tails; chosen here
+N_RANKS = 4  # of an echo within the step of its register; chosen here
 ALIEN = 1e-4  # probability in the simulation's law below which a reading is no part of it; chosen here
 WRONG = SHARE_TOLERANCE  # of pings, in which the simulation's law does not know whether there is an echo
 
@@ -44,7 +44,7 @@ class TransportLaw(EchoLaw):
     Attributes:
         given: readings, (n,).
         own, law: law that they come from, and that of the readings that they become.
-        kept: correlation of the normal scores of an echo's ranks in both laws, (n,).
+        correlation: of the normal scores of an echo's ranks in both laws, (n,).
         low, high: share of the echoes of the first law up to the lower and upper end of the step of each echo, (n,).
         alien: which echoes are no part of the first law, (n,).
         heard: probability that each reading becomes an echo, (n,).
@@ -55,7 +55,7 @@ class TransportLaw(EchoLaw):
     def __init__(self, given: Reading, own: EchoLaw, law: EchoLaw) -> None:
         super().__init__(law.distance, law.resolution, law.max_range)
         self.given, self.own, self.law = given, own, law
-        self.kept = relative_width(own, law)
+        self.correlation = relative_width(own, law)
         before, after = (each.echo / np.maximum(1.0 - each.no_answer, RARE) for each in (own, law))
         self.low, self.high = (each / np.maximum(before, RARE) for each in transforms(own, given))
         place = 0.5 * (self.low + self.high)
@@ -70,7 +70,7 @@ class TransportLaw(EchoLaw):
     def _arrival(self, z: Floats) -> Floats:
         share = self.law._arrival(z) / np.maximum(self.law.echo, RARE)
         within = np.clip((share - self.low) / np.maximum(self.high - self.low, RARE), 0.0, 1.0)
-        mixed = self.kept < 1.0
+        mixed = self.correlation < 1.0
         if mixed.any():
             within = np.where(mixed, self._mixed(share), within)
         carried = np.where(self.given.echo, within, share)
@@ -80,11 +80,11 @@ class TransportLaw(EchoLaw):
 
     def _mixed(self, share: Floats) -> Floats:
         """Return the probability that echoes with a part of their rank are no farther than a share of the law's."""
-        width = np.maximum(np.sqrt(1.0 - self.kept**2), RARE)
+        width = np.maximum(np.sqrt(1.0 - self.correlation**2), RARE)
         limit = ndtri(np.clip(share, 0.0, 1.0))
         nodes = ((k + 0.5) / N_RANKS for k in range(N_RANKS))
         scores = (ndtri(np.clip(self.low + node * (self.high - self.low), RARE, 1.0 - RARE)) for node in nodes)
-        return np.asarray(sum(ndtr((limit - self.kept * score) / width) for score in scores) / N_RANKS)
+        return np.asarray(sum(ndtr((limit - self.correlation * score) / width) for score in scores) / N_RANKS)
 
     @cached_property
     def _moved(self) -> Floats:

@@ -119,14 +119,14 @@ class Options:
             rng: grows the trees of the empirical term.
         """
         parts, with_causes, on_simulation, gain = _parts(search), None, None, False
+        stack, keys = judged.final.single.stack, search.differing(judged.believed)
+        law, without = (offered(each, step_m) for each in (stack, stack.put(keys, map(search.common.get, keys))))
         if judged.believed:
-            laws = [offered(stack, step_m) for stack in (judged.final.single.stack, *reversed(judged.found.stacks))]
+            laws = [law, *(offered(each, step_m) for each in reversed(judged.found.stacks))]
             nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
             with_causes = replace(option_of(laws, parts), nats=nats)
             gain = gains(with_causes, emulator)
             on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
-        stack, keys = judged.final.single.stack, search.differing(judged.believed)
-        law, without = (offered(each, step_m) for each in (stack, stack.put(keys, map(search.common.get, keys))))
         term = recalibrated(law, search.folds.both, rng)
         with_term = None if term is None else _crossed(term, search, parts)
         # the term is compared with the very law that it corrects, so that both were fitted to the same readings

@@ -11,8 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.arrays import Floats
-from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import Grown
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.accepted import acting_on, applied
@@ -89,21 +87,18 @@ def is_carried(
         rng: draws the readings.
         sure: whether the other law has been found better than the same without its empirical term, beyond chance.
     """
-    if simulation.readings is None or (acting is not None and not simulation.has_any_of(unseen)):
+    common = simulation.has_any_of(unseen)
+    if simulation.readings is None or (acting is not None and not common):
         return False
-    if simulation.has_any_of(unseen):
+    if common:
         known = simulation if acting is None else _applied(acting, simulation, rng)
         carried = _applied(carrying, simulation, rng)
         gain, near = carried.gain_on(known, unseen), carried.near.gain_on(known.near, unseen)
     else:
-        models = forest.model, forest.of_others(applied(carrying, forest.batch, rng))
-        gain, near = (_gain(*models, unseen, tolerance) for tolerance in (None, CREDENCE_TOLERANCE))
+        before, after = Simulation(forest.model), forest.of_others(applied(carrying, forest.batch, rng))
+        scored = ((each, crps_of_each(after, unseen, each.tolerance)) for each in (before, before.near))
+        gain, near = (each.gain((unseen, crps)) for each, crps in scored)
     return improves(gain, near) if sure and acting is None else beyond_chance(gain)
-
-
-def _gain(before: SonarModel, after: SonarModel, batch: Batch, tolerance: float | None) -> Floats:
-    """Return what a model gains on another in the CRPS of each unit, m."""
-    return batch.unit_sums(crps_of_each(before, batch, tolerance) - crps_of_each(after, batch, tolerance))
 
 
 def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:

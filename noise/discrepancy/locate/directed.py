@@ -28,7 +28,7 @@ from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
 from noise.fitting.likelihood import Measure, at_each
 from noise.fitting.stack import JITTER, Key, Stack
-from noise.fitting.visit_effects import VisitEffects, in_visits, law_of, log_prob, single_ping_law
+from noise.fitting.visit_effects import VisitEffects, in_visits, law_of, log_prob, single_ping_law, visit_errors
 from noise.law import EchoLaw, GivenNumbers
 from noise.physical import PhysicalLaw, PhysicalModel
 
@@ -103,10 +103,10 @@ def drawn_in_visits(law: Stack, batch: Batch, rng: np.random.Generator) -> Batch
     same random numbers until none changes, which takes as many rounds as the longest chain of such readings.
     """
     model, visits = law.build()
-    seed = int(rng.integers(2**63))
+    errors = visit_errors(visits, batch, rng)
 
     def drawing(each: Batch) -> PhysicalLaw:
-        return in_visits(law_of(model, each), visits, each, np.random.default_rng(seed))
+        return in_visits(law_of(model, each), *errors)
 
     return sampled_in_order(batch, drawing, rng.random(len(batch)), model.remembers)
 
