@@ -57,18 +57,14 @@ class Option:
         """Mean CRPS, m."""
         return float(np.mean(np.concatenate([crps for _, crps in self.scored])))
 
-    def is_better_than(self, other: Option, tolerance: float | None = None) -> bool:
+    def is_better_than(self, other: Option) -> bool:
         """Return whether the CRPS is less than that of another model beyond chance, on visits that neither has seen."""
-        own, others = (
-            (self.scored, other.scored) if tolerance is None else (self.score(tolerance), other.score(tolerance))
-        )
-        pairs = zip(own, others, strict=False)
-        return beyond_chance(np.concatenate([batch.unit_sums(crps - less) for (batch, less), (_, crps) in pairs]))
+        pairs = zip(self.scored, other.scored, strict=False)
+        return beyond_chance(np.concatenate([batch.unit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
 
-    def beats(self, model: SonarModel, tolerance: float | None = None) -> bool:
+    def beats(self, model: SonarModel) -> bool:
         """Return whether the CRPS is less than that of a model which has seen none of the readings, beyond chance."""
-        other = option_of([model] * len(self.scored), [batch for batch, _ in self.scored])
-        return self.is_better_than(other, tolerance)
+        return self.is_better_than(option_of([model] * len(self.scored), [batch for batch, _ in self.scored]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +143,7 @@ class Options:
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
             term = self.with_term
-            found = term is not None and any(term.beats(before.model, each) for each in (None, CREDENCE_TOLERANCE))
+            found = term is not None and term.beats(before.model)
             sure = [self.with_causes if self.causes_gain else None, term if found else None]
             better = [each for each in sure if each is not None and _improves_on(before, each)]
             offered = min(better, key=lambda option: option.crps, default=None)
