@@ -6,7 +6,7 @@ import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -55,7 +55,7 @@ from noise.discrepancy.result import (
     Verdict,
     Visible,
 )
-from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL
+from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.effects import CATALOGUE
 from noise.effects.medium import TEMPERATURE
 from noise.fitting.batch import Batch
@@ -263,7 +263,8 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     seed = int(data.rng("acting").integers(2**63))
     comparing = Comparing(search, data.sample, data.baseline.emulator, partial(against, data), seed)
     # one move: sizes that go farther to agree would hide what a further effect explains, and cost a test each
-    search.is_left = lambda found: comparing.least_rejected(found.effects, found.stacks[0], 1)[0].is_below(LEFT_LEVEL)
+    left = cache(lambda found: comparing.least_rejected(found.effects, found.stacks[0], 1)[0])
+    search.is_left = lambda found, level: left(found).is_below(level)
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)

@@ -18,7 +18,7 @@ from noise.discrepancy.locate.stability import Stability
 from noise.discrepancy.name.alternatives import Place, place_of
 from noise.discrepancy.name.estimates import Final, conclude, intervals, statement
 from noise.discrepancy.name.hypothesis import Hypothesis
-from noise.discrepancy.name.search import MISSED, Search
+from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
 from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MAX_CAUSES, MIN_SHARE
 from noise.fitting.stack import Key
@@ -96,22 +96,32 @@ class Judgement:
         return self if found is self.found else replace(self, found=found)
 
     def settled(self) -> tuple[Judgement, tuple[Place, ...]]:
-        """Return the judgement of a hypothesis that no exchange of one effect improves, with its places.
+        """Return the judgement of a hypothesis of which each effect is the most probable in its place, with the places.
 
         Effects are selected one after another; what was best alone need not be beside those that followed.
         """
         selected, places = self, self.places()
         for _ in range(MAX_CAUSES):
-            best = max((place.best for place in places), key=lambda each: each.value, default=selected.found)
-            if best.value <= selected.found.value + MISSED:
+            other = next((place.fits[place.leader] for place in places if place.leader != place.effect), None)
+            if other is None:
                 break
-            selected = replace(selected, found=best)
+            selected = replace(selected, found=other)
             places = selected.places()
         return selected, places
 
     def places(self) -> tuple[Place, ...]:
         """Return the effects and what may stand in their places."""
-        return tuple(place_of(self.search, self.found, name) for name in self.found.effects)
+        return tuple(self.tested(place_of(self.search, self.found, name)) for name in self.found.effects)
+
+    def tested(self, place: Place) -> Place:
+        """Return a place without the effects that the test refutes, unless it refutes all that are worth listing.
+
+        Where a law is wrong for both files, an effect may predict better that mends it a little; the test compares the
+        files themselves.
+        """
+        judged = {name: replace(self, found=place.fits[name]) for name in place.listed if name != place.effect}
+        refuted = {name for name, each in {place.effect: self, **judged}.items() if each.after.is_below(FALSE_ALARM)}
+        return place.without(refuted) if 0 < len(refuted) <= len(judged) else place
 
     def accepted(self) -> Judgement:
         """Return the judgement without effects but for which the test would find nothing.

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import softmax
 
-from noise.discrepancy.name.hypothesis import Hypothesis
+from noise.discrepancy.name.hypothesis import Hypothesis, weights
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LISTED
-
-N_DRAWS = 500  # of the Bayesian bootstrap
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +29,20 @@ class Place:
     fits: dict[str, Hypothesis]
 
     @property
-    def best(self) -> Hypothesis:
-        """The hypothesis that predicts best."""
-        return max(self.fits.values(), key=lambda each: each.value)
+    def leader(self) -> str:
+        """The most probable effect."""
+        return max(self.likely, key=self.likely.__getitem__)
 
     @property
     def listed(self) -> dict[str, float]:
         """The probabilities of the selected effect and of the others that are worth listing."""
         return {name: p for name, p in self.likely.items() if name == self.effect or p >= LISTED}
+
+    def without(self, refuted: Collection[str]) -> Place:
+        """Return the place without some of its effects, of which the selected one is listed all the same."""
+        total = sum(p for name, p in self.likely.items() if name not in refuted)
+        left = {name: p / total for name, p in self.likely.items() if name not in refuted}
+        return replace(self, likely={self.effect: 0.0} | left)
 
 
 def place_of(search: Search, found: Hypothesis, name: str) -> Place:
@@ -59,23 +62,11 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
     own = fits.pop(name)
-    fits = {other: search.polished(fit) if search.may_lead(fit, own) else fit for other, fit in fits.items()}
+    fits = {other: search.polished(fit, found) if search.may_lead(fit, own) else fit for other, fit in fits.items()}
     inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)
     return Place(name, weights(every, search.rng), lead, every)
-
-
-def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:
-    """Return the probability of each hypothesis, by the Bayesian bootstrap over visits (pseudo-BMA+).
-
-    No law is exactly true, so that log-likelihoods of thousands of readings overstate evidence. The bootstrap lets a
-    difference count as much as it repeats itself from visit to visit (Yao, Vehtari, Simpson and Gelman 2018).
-    """
-    nats = np.stack([fit.nats for fit in fits.values()])
-    draws = rng.dirichlet(np.ones(nats.shape[1]), N_DRAWS) * nats.shape[1]
-    total = nats @ draws.T + np.array([[fit.prior] for fit in fits.values()])
-    return dict(zip(fits, softmax(total, axis=0).mean(axis=1).tolist(), strict=True))
 
 
 def _beside(search: Search, without: Hypothesis, fit: Hypothesis, other: str) -> Hypothesis:

@@ -1,4 +1,7 @@
-"""Exchange of pairs, the remedy for the greed of forward selection.
+"""Exchanges, the remedies for the greed of forward selection.
+
+Where the effect that predicts best leaves a difference, and another that predicts nearly as well leaves none, the other
+is the simpler explanation: more effects would follow the first.
 
 Of two causes that act together, the effect that gains most alone may be a third one which imitates a part of both, and
 those selected after it then mend what it gets wrong. Once two effects have followed each other, the pairs of effects
@@ -7,11 +10,14 @@ that were tried in the place of the first one are looked at, and replace the two
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from typing import Protocol
 
-from noise.discrepancy.name.hypothesis import Hypothesis, alike
+import numpy as np
+
+from noise.discrepancy.name.hypothesis import Hypothesis, alike, weights
+from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL, LISTED
 from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
@@ -23,6 +29,8 @@ class Rounds(Protocol):
     common: Stack
     tried: dict[tuple[str, ...], dict[str, Hypothesis]]
     base: dict[tuple[str, ...], tuple[Stack, Hypothesis]]
+    rng: np.random.Generator
+    is_left: Callable[[Hypothesis, float], bool]
 
     def explains(self, found: Hypothesis, name: str) -> bool:
         """Return whether an effect of a hypothesis explains readings."""
@@ -32,6 +40,23 @@ class Rounds(Protocol):
 
     def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
         """Return a hypothesis fitted on both folds."""
+
+
+def sufficient(search: Rounds, found: Hypothesis, given: Hypothesis) -> Hypothesis:
+    """Return the selected hypothesis of a round, or where it leaves a difference, a probable one that leaves none.
+
+    Args:
+        search: its rounds.
+        found: the selected one.
+        given: the hypothesis that the round began with.
+    """
+    tried = {name: fit for name, fit in search.tried[given.effects].items() if search.explains(fit, name)}
+    likely = weights(tried, search.rng) if len(tried) > 1 else {}
+    rivals = [name for name, p in likely.items() if p >= LISTED and name != found.effects[-1]]
+    if not rivals or not search.is_left(found, FALSE_ALARM):
+        return found
+    rivals.sort(key=lambda name: -likely[name])
+    return next((tried[name] for name in rivals if not search.is_left(tried[name], LEFT_LEVEL)), found)
 
 
 def exchanged(search: Rounds, found: Hypothesis) -> Hypothesis:

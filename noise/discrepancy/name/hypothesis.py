@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from acquisition.arrays import Floats
 from noise.fitting.stack import Stack
 
 BEHIND = 3.0  # standard errors by which what trails is out of reach
 ALIKE = 0.9  # correlation of two gains over visits from which they are one explanation
+N_DRAWS = 500  # of the Bayesian bootstrap
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,3 +80,15 @@ def first_kinds(gains: Mapping[str, Floats], n: int) -> list[str]:
             break
         out.append(name)
     return out
+
+
+def weights(fits: Mapping[str, Hypothesis], rng: np.random.Generator) -> dict[str, float]:
+    """Return the probability of each hypothesis, by the Bayesian bootstrap over visits (pseudo-BMA+).
+
+    No law is exactly true, so that log-likelihoods of thousands of readings overstate evidence. The bootstrap lets a
+    difference count as much as it repeats itself from visit to visit (Yao, Vehtari, Simpson and Gelman 2018).
+    """
+    nats = np.stack([fit.nats for fit in fits.values()])
+    draws = rng.dirichlet(np.ones(nats.shape[1]), N_DRAWS) * nats.shape[1]
+    total = nats @ draws.T + np.array([[fit.prior] for fit in fits.values()])
+    return dict(zip(fits, softmax(total, axis=0).mean(axis=1).tolist(), strict=True))

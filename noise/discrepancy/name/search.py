@@ -32,11 +32,11 @@ from noise.discrepancy.name.candidates import (
     with_sampled_bounds,
 )
 from noise.discrepancy.name.common import acts_on_target, scatters_alike, with_compensation, with_effect, with_nuisances
-from noise.discrepancy.name.exchange import exchanged
+from noise.discrepancy.name.exchange import exchanged, sufficient
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, standard_error
-from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, MAX_CAUSES, MIN_SHARE
+from noise.discrepancy.thresholds import FALSE_ALARM, FIRST_GAIN, LEFT_LEVEL, MAX_CAUSES, MIN_SHARE
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit, Scales, highest, maximise
 from noise.fitting.likelihood import predictive
@@ -52,8 +52,6 @@ SHORT, LONG = 6, 14  # iterations of a fit that ranks candidates, and of one tha
 ROUNDS = 2 * MAX_CAUSES  # of a search, those that only change what both files have alike included
 MISSED = 3.0  # nats by which other nuisance parameters must predict better for a round to be repeated with them
 
-Tell = Callable[[str, float], None]
-
 
 @dataclass(eq=False)
 class Search:
@@ -66,7 +64,7 @@ class Search:
         rng: generator of the starting points.
         without: effects that are known not to differ.
         tell: called with a message and the share done.
-        is_left: whether the recording differs from a hypothesis, by the orthogonal test; if not, nothing is added.
+        is_left: whether the recording differs from a hypothesis, by the orthogonal test at a level; if not, none joins.
         shared: effects that joined the common law.
         tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
         base: the law of the simulation and the hypothesis that each round began with, by its effects.
@@ -77,8 +75,8 @@ class Search:
     simulated: Batch | None
     rng: np.random.Generator
     without: tuple[str, ...] = ()
-    tell: Tell = lambda message, share: None
-    is_left: Callable[[Hypothesis], bool] = lambda found: True
+    tell: Callable[[str, float], None] = lambda message, share: None
+    is_left: Callable[[Hypothesis, float], bool] = lambda found, level: True
     shared: list[str] = field(default_factory=list)
     tried: dict[tuple[str, ...], dict[str, Hypothesis]] = field(default_factory=dict)
     base: dict[tuple[str, ...], tuple[Stack, Hypothesis]] = field(default_factory=dict)
@@ -119,8 +117,8 @@ class Search:
     def worthwhile(self, current: Hypothesis) -> float:
         """Return the gain, nats, that one more effect needs.
 
-        A search begins where a test has found a difference, at a level that allows for all that it looked at. The first
-        effect need not prove it again for each candidate, nor that it repeats itself, only that it describes it.
+        A search begins where a test has found a difference. The first effect need not prove it again for each
+        candidate, nor that it repeats itself, only that it describes it.
         """
         return self.needed(current, self.null()) if current.effects else FIRST_GAIN
 
@@ -132,14 +130,14 @@ class Search:
         """Return the hypothesis without differences and the selected one."""
         current = with_threshold(self, with_register(self, self.renewed(self.null())))
         for _ in range(ROUNDS):
-            if len(current.effects) >= MAX_CAUSES or (current.effects and not self.is_left(current)):
+            if len(current.effects) >= MAX_CAUSES or (current.effects and not self.is_left(current, LEFT_LEVEL)):
                 break
             self.tell(f"searching, {len(current.effects)} found", 0.2 + 0.1 * len(current.effects))
             found = self.round(current)
             if found is None:
                 break
             joined = found.effects == current.effects  # an effect joined the common law
-            current = found if joined else self.renewed(self.accepted(found, current))
+            current = found if joined else self.renewed(self.accepted(sufficient(self, found, current), current))
         return self.null(), self.with_scatter(current)
 
     def accepted(self, found: Hypothesis, before: Hypothesis) -> Hypothesis:
@@ -211,12 +209,16 @@ class Search:
             stacks.append(start)
         return self.scored(effects, stacks)
 
-    def polished(self, found: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
-        free = (*self.keys(found.effects), *self.nuisances)
+    def polished(self, found: Hypothesis, rival: Hypothesis | None = None) -> Hypothesis:
+        """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them.
+
+        Those of a rival are further starts: where two effects explain the same, they leave the same scatter.
+        """
         pairs = zip(found.stacks, self.parts, strict=True)
         starts = [[*found.stacks, *self.shared_first(stack, found.effects, part)] for stack, part in pairs]
-        return self.best(starts, free, found.effects)
+        for each, near in zip(starts, rival.stacks if rival else (), strict=False):
+            each.append(each[0].put(self.nuisances, [near.get(key) for key in self.nuisances]))
+        return self.best(starts, (*self.keys(found.effects), *self.nuisances), found.effects)
 
     def shared_first(self, stack: Stack, effects: Sequence[str], batch: Batch) -> list[Stack]:
         """Return effects fitted with the nuisances of the simulation, which a recording shares by default.

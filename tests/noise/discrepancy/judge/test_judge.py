@@ -1,12 +1,13 @@
 """Shares, probabilities and the verdict follow from their definitions."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import softmax
 
 from acquisition import Reading, Recording
 from noise.discrepancy.baseline.forest import grown
@@ -52,28 +53,64 @@ def test_a_single_cause_explains_nearly_everything():
     assert lead > 2.0 * error > 0.0
 
 
+@dataclass
+class Answer:
+    """What a test says."""
+
+    p: float
+
+    def is_below(self, level):
+        return self.p < level
+
+
 class Tried(Judgement):
-    """A judgement without fits, in which hypotheses have neighbours: `comparing` holds their values."""
+    """A judgement without fits, in which hypotheses have neighbours: `comparing` holds value and p-value of each."""
 
     def __post_init__(self):
-        pass
+        self.after = Answer(self.comparing[self.found.effects[0]][1])
 
     def places(self):
-        near = {
-            name: value for name, value in self.comparing.items() if abs(ord(name) - ord(self.found.effects[0])) < 2
-        }
+        own = self.found.effects[0]
+        near = {name: value for name, (value, _) in self.comparing.items() if abs(ord(name) - ord(own)) < 2}
+        likely = dict(zip(near, softmax(list(near.values())), strict=True))
         fits = {name: Hypothesis((name,), (), np.array([value])) for name, value in near.items()}
-        return (Place(self.found.effects[0], {}, 0.0, fits),)
+        return (self.tested(Place(own, likely, 0.0, fits)),)
+
+
+def settled(values, refuted=""):
+    """Return the effect that a search of named values ends at, and its place."""
+    comparing = {name: (value, 0.001 if name in refuted else 0.5) for name, value in values.items()}
+    selected, (place,) = Tried(comparing, Hypothesis(("a",), (), np.array([values["a"]]))).settled()
+    return selected.found.effects[0], place
 
 
 @pytest.mark.parametrize(
     ("values", "end"),
-    [({"a": 0.0, "b": 5.0, "c": 20.0}, "c"), ({"a": 0.0, "b": 2.0, "c": 20.0}, "a"), ({"a": 9.0, "b": 2.0}, "a")],
+    [({"a": 0.0, "b": 5.0, "c": 20.0}, "c"), ({"a": 0.0, "b": -2.0, "c": 20.0}, "a"), ({"a": 9.0, "b": 2.0}, "a")],
 )
-def test_effects_are_exchanged_for_others_in_their_places_until_none_predicts_clearly_better(values, end):
-    selected, places = Tried(values, Hypothesis(("a",), (), np.array([values["a"]]))).settled()
-    assert selected.found.effects == (end,)
-    assert places[0].effect == end
+def test_effects_are_exchanged_for_others_in_their_places_until_each_is_the_most_probable(values, end):
+    found, place = settled(values)
+    assert found == place.effect == end
+    assert max(place.likely.values()) == place.likely[end]
+
+
+def test_an_effect_that_the_test_refutes_gives_place_to_one_that_it_does_not():
+    found, place = settled({"a": 2.0, "b": 0.0}, refuted="a")
+    assert found == "b"
+    assert place.likely == {"b": 1.0}
+
+
+@pytest.mark.parametrize("refuted", ["", "ab"])
+def test_a_test_that_refutes_all_or_none_decides_nothing(refuted):
+    found, place = settled({"a": 2.0, "b": 0.0}, refuted)
+    assert found == "a"
+    assert place.likely["b"] == pytest.approx(1.0 / (1.0 + np.exp(2.0)))
+
+
+def test_an_effect_that_is_not_worth_listing_is_not_tested():
+    found, place = settled({"a": 9.0, "b": 0.0}, refuted="a")
+    assert found == "a"
+    assert place.likely["a"] > 0.99
 
 
 def test_most_of_a_misfit_that_the_effect_does_not_describe_is_the_rest():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from noise.discrepancy.name.alternatives import place_of, weights
+from noise.discrepancy.name.alternatives import place_of
 from noise.discrepancy.name.candidates import (
     explains_nothing,
     gained_at_bounds,
