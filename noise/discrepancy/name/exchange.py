@@ -10,7 +10,7 @@ that were tried in the place of the first one are looked at, and replace the two
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Protocol
 
@@ -30,7 +30,9 @@ class Rounds(Protocol):
     tried: dict[tuple[str, ...], dict[str, Hypothesis]]
     base: dict[tuple[str, ...], tuple[Stack, Hypothesis]]
     rng: np.random.Generator
-    is_left: Callable[[Hypothesis, float], bool]
+
+    def is_left(self, found: Hypothesis, level: float, /) -> bool:
+        """Return whether the recording differs from a hypothesis, by the orthogonal test at a level."""
 
     def explains(self, found: Hypothesis, name: str) -> bool:
         """Return whether an effect of a hypothesis explains readings."""

@@ -19,7 +19,7 @@ from noise.discrepancy.name.candidates import (
 from noise.discrepancy.name.estimates import conclude, intervals
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
-from noise.discrepancy.name.hypothesis import Hypothesis, standard_error
+from noise.discrepancy.name.hypothesis import Hypothesis, standard_error, weights
 from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
 from noise.fitting.stack import JITTER
