@@ -66,6 +66,7 @@ class Judgement:
     Attributes:
         comparing: compares hypotheses with the recording.
         found: the hypothesis.
+        known: judgements of hypotheses that were made before.
         final: its effects fitted to both folds.
         after: test of that law.
         compared: what was tested.
@@ -73,12 +74,14 @@ class Judgement:
 
     comparing: Comparing
     found: Hypothesis
+    known: dict[Hypothesis, Judgement] = field(default_factory=dict)
     final: Final = field(init=False)
     after: Tested = field(init=False)
     compared: Comparison = field(init=False)
 
     def __post_init__(self) -> None:
         """Fit and test."""
+        self.known[self.found] = self
         self.final = conclude(self.search, self.found)
         self.after, self.compared = self.comparing.least_rejected(self.found.effects, self.final.stack)
         law, other = self.final.stack, self.compared.recorded
@@ -90,22 +93,29 @@ class Judgement:
         """Readings and candidates."""
         return self.comparing.search
 
+    def of(self, found: Hypothesis) -> Judgement:
+        """Return the judgement of another hypothesis."""
+        return self.known.get(found) or replace(self, found=found)
+
     def with_effects(self, effects: Sequence[str]) -> Judgement:
         """Return the judgement of the hypothesis with some of its effects."""
-        found = reduce(self.search.left_out, (each for each in self.found.effects if each not in effects), self.found)
-        return self if found is self.found else replace(self, found=found)
+        return self.of(
+            reduce(self.search.left_out, (each for each in self.found.effects if each not in effects), self.found)
+        )
 
     def settled(self) -> tuple[Judgement, tuple[Place, ...]]:
         """Return the judgement of a hypothesis of which each effect is the most probable in its place, with the places.
 
         Effects are selected one after another; what was best alone need not be beside those that followed.
         """
-        selected, places = self, self.places()
-        for _ in range(MAX_CAUSES):
-            other = next((place.fits[place.leader] for place in places if place.leader != place.effect), None)
+        selected, places, been = self, self.places(), {frozenset(self.found.effects)}
+        for _ in range(MAX_CAUSES):  # a bound of the time
+            leaders = (place.fits[place.leader] for place in places if place.leader != place.effect)
+            other = next((each for each in leaders if frozenset(each.effects) not in been), None)
             if other is None:
                 break
-            selected = replace(selected, found=other)
+            been.add(frozenset(other.effects))
+            selected = self.of(other)
             places = selected.places()
         return selected, places
 
@@ -119,9 +129,8 @@ class Judgement:
         Where a law is wrong for both files, an effect may predict better that mends it a little; the test compares the
         files themselves.
         """
-        judged = {name: replace(self, found=place.fits[name]) for name in place.listed if name != place.effect}
-        refuted = {name for name, each in {place.effect: self, **judged}.items() if each.after.is_below(FALSE_ALARM)}
-        return place.without(refuted) if 0 < len(refuted) <= len(judged) else place
+        refuted = {name for name in place.listed if self.of(place.fits[name]).after.is_below(FALSE_ALARM)}
+        return place.without(refuted) if refuted and refuted < place.listed.keys() else place
 
     def accepted(self) -> Judgement:
         """Return the judgement without effects but for which the test would find nothing.
@@ -136,7 +145,7 @@ class Judgement:
         best = max(range(len(fewer)), key=lambda k: tests[k].p_value.value)
         if tests[best].is_below(FALSE_ALARM):
             return self
-        return replace(self, found=fewer[best])
+        return self.of(fewer[best])
 
 
 def judge(

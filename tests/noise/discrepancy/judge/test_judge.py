@@ -67,13 +67,14 @@ class Tried(Judgement):
     """A judgement without fits, in which hypotheses have neighbours: `comparing` holds value and p-value of each."""
 
     def __post_init__(self):
+        self.known[self.found] = self
         self.after = Answer(self.comparing[self.found.effects[0]][1])
 
     def places(self):
         own = self.found.effects[0]
         near = {name: value for name, (value, _) in self.comparing.items() if abs(ord(name) - ord(own)) < 2}
         likely = dict(zip(near, softmax(list(near.values())), strict=True))
-        fits = {name: Hypothesis((name,), (), np.array([value])) for name, value in near.items()}
+        fits = {name: Hypothesis((name,), (), np.array([value])) for name, value in near.items()} | {own: self.found}
         return (self.tested(Place(own, likely, 0.0, fits)),)
 
 
@@ -105,6 +106,20 @@ def test_a_test_that_refutes_all_or_none_decides_nothing(refuted):
     found, place = settled({"a": 2.0, "b": 0.0}, refuted)
     assert found == "a"
     assert place.likely["b"] == pytest.approx(1.0 / (1.0 + np.exp(2.0)))
+
+
+class Turned(Tried):
+    """A judgement in whose places another effect always leads."""
+
+    def places(self):
+        own, other = self.found.effects[0], "b" if self.found.effects == ("a",) else "a"
+        fits = {own: self.found, other: Hypothesis((other,), (), np.zeros(1))}
+        return (Place(own, {own: 0.4, other: 0.6}, 0.0, fits),)
+
+
+def test_effects_that_lead_in_turn_end_a_search():
+    selected, _ = Turned({"a": (0.0, 0.5), "b": (0.0, 0.5)}, Hypothesis(("a",), (), np.zeros(1))).settled()
+    assert selected.found.effects == ("b",)
 
 
 def test_an_effect_that_is_not_worth_listing_is_not_tested():
