@@ -165,11 +165,11 @@ class NoiseBurst(Effect):
     def statement(self) -> str:
         """Return a sentence with the scatter and the probability."""
         v = self.values
-        return f"{self.summary}, by {1000 * v['sigma_m']:.0f} mm, in {100 * v['probability']:.3g} % of pings."
+        return f"{self.summary}, by {1000 * v['sigma_m']:.0f} mm, in {100 * v['probability']:.3g} % of echoes."
 
 
 class CorruptedByte(Effect):
-    """With `probability` one bit of the register is wrong: the count changes by a power of two.
+    """With `probability` one bit of an echo's register is wrong: the count changes by a power of two.
 
     All bits are equally likely; the count increases as often as it decreases, as long as it stays positive.
     """
@@ -207,7 +207,7 @@ class CorruptedByte(Effect):
             return (share * torch.clamp(inside, 0.0, 1.0)).sum(dim=-2)
 
         zero = number(0.0)
-        return state.with_atom(Atom(self.probability, cdf, zero, zero))
+        return state.with_atom(Atom(self.probability, cdf, zero, zero, of_echo=True))
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:
@@ -218,7 +218,7 @@ class CorruptedByte(Effect):
 
     def statement(self) -> str:
         """Return a sentence with the probability."""
-        return f"{self.summary}, in {100 * self.values['probability']:.3g} % of pings."
+        return f"{self.summary}, in {100 * self.values['probability']:.3g} % of echoes."
 
 
 def _mean_level(lag: Tensor) -> Tensor:

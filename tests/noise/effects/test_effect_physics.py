@@ -390,10 +390,14 @@ def test_a_fit_recovers_the_parameters(name, values):
         assert found.stack.get((name, key)) == pytest.approx(value, rel=0.25, abs=0.001)
 
 
-def test_a_noise_burst_makes_no_echo_of_a_target_that_is_not_heard():
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("noise_burst", {"probability": 0.5, "sigma_m": 0.1}), ("corrupted_byte", {"probability": 0.5, "unit_m": 0.01})],
+)
+def test_a_wrong_reading_of_an_echo_is_none_of_a_target_that_is_not_heard(name, values):
     ping = Ping.of(distance=np.array([1.0, 9.0]))
     deaf = CATALOGUE["sensitivity"](loss_db=55.0)
-    burst = CATALOGUE["noise_burst"](probability=0.5, sigma_m=0.1)
-    without, with_it = (PhysicalModel(effects).law(ping) for effects in ([deaf], [deaf, burst]))
+    wrong = CATALOGUE[name](**values)
+    without, with_it = (PhysicalModel(effects).law(ping) for effects in ([deaf], [deaf, wrong]))
     assert without.echo[1] < 1e-6
     np.testing.assert_allclose(with_it.echo, without.echo, rtol=1e-9, atol=1e-15)
