@@ -58,6 +58,7 @@ class Parameter:
             end of a recording is rather a constant.
         jumps: whether the likelihood jumps where it crosses a reading, as with the end of a range. Its derivative there
             says little, and readings bound it closer than they determine what changes smoothly.
+        adds: whether two effects of these sizes act as one of their sum, nearly; what differs is then the difference.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Parameter:
     cycle: bool = False
     decays: bool = False
     jumps: bool = False
+    adds: bool = False
 
     def identifiable(self, covariates: Mapping[str, NDArray[np.float64]]) -> bool:
         """Return whether readings under these covariates, (n,) each, can identify the parameter."""

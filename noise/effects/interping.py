@@ -124,6 +124,7 @@ class Latency(Effect):
             RANGE_RATE,
             0.05,
             typical=0.2,
+            adds=True,
         ),
     )
     delay_s: Tensor

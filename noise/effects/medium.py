@@ -56,6 +56,7 @@ class SoundSpeed(Effect):
             "c = 331.3 sqrt(1+T/273.15)",
             (ASSUMED_TEMPERATURE_C,),
             typical=8.0,
+            adds=True,
         ),
         Parameter(
             "logged_share",
@@ -100,7 +101,9 @@ class AirAbsorption(Effect):
     stage = Stage.MEDIUM
     summary = "Air absorbs the sound: far echoes are weaker"
     parameters = (
-        Parameter("alpha_db_per_m", "dB/m", 0.0, 0.0, 3.0, "ISO 9613-1 at 40 kHz: 0.4 to 1.5 dB/m", (0.7, 1.3)),
+        Parameter(
+            "alpha_db_per_m", "dB/m", 0.0, 0.0, 3.0, "ISO 9613-1 at 40 kHz: 0.4 to 1.5 dB/m", (0.7, 1.3), adds=True
+        ),
     )
     alpha_db_per_m: Tensor
 
@@ -114,7 +117,8 @@ class AirAbsorption(Effect):
     def statement(self) -> str:
         """Return a sentence with the absorption and its loss at 6 m."""
         alpha = self.values["alpha_db_per_m"]
-        return f"Air absorbs {alpha:.2g} dB/m: echoes from 6 m are {12 * alpha:.1f} dB weaker."
+        more, weaker = ("more", "weaker") if alpha >= 0.0 else ("less", "stronger")
+        return f"Air absorbs {abs(alpha):.2g} dB/m {more}: echoes from 6 m are {12 * abs(alpha):.1f} dB {weaker}."
 
 
 class Scintillation(Effect):
@@ -152,7 +156,7 @@ def _growth(length: Tensor) -> Tensor:
 def _swing(name: str, start: float) -> Parameter:
     """Return the parameter of one phase of an oscillation of the air temperature."""
     source = "heating 0.3 to 1.5 K; days outdoors: chosen here"
-    return Parameter(name, "K", 0.0, -15.0, 15.0, source, (start,), typical=1.0)
+    return Parameter(name, "K", 0.0, -15.0, 15.0, source, (start,), typical=1.0, adds=True)
 
 
 class ThermalDrift(Effect):
@@ -175,6 +179,7 @@ class ThermalDrift(Effect):
             "rooms 0.3 to 1.5 K in hours; wider: chosen here",
             (0.5, -0.5),
             typical=1.0,
+            adds=True,
         ),
         _swing("sine_k", 0.3),
         _swing("cosine_k", 0.0),

@@ -87,7 +87,9 @@ class Boresight(Effect):
     stage = Stage.CONDITION
     summary = "The beam axis deviates from the reference axis of angles"
     parameters = (
-        Parameter("yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: chosen here", (-3.0, 3.0), typical=3.0),
+        Parameter(
+            "yaw_deg", "deg", 0.0, -30.0, 30.0, "0 to 3 deg; wider: chosen here", (-3.0, 3.0), typical=3.0, adds=True
+        ),
     )
     yaw_deg: Tensor
 
@@ -109,9 +111,17 @@ class PivotOffset(Effect):
     summary = "The rotation axis is off the reflector's face: the distance changes with the rotation"
     parameters = (
         Parameter(
-            "axial_m", "m", 0.0, -0.35, 0.35, "thesis stand 0 to 320 mm behind the face", (0.1, -0.1), typical=0.1
+            "axial_m",
+            "m",
+            0.0,
+            -0.35,
+            0.35,
+            "thesis stand 0 to 320 mm behind the face",
+            (0.1, -0.1),
+            typical=0.1,
+            adds=True,
         ),
-        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; chosen here", (0.0,), typical=0.05),
+        Parameter("lateral_m", "m", 0.0, -0.35, 0.35, "as axial_m; chosen here", (0.0,), typical=0.05, adds=True),
     )
     axial_m: Tensor
     lateral_m: Tensor

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from noise.effects.base import EchoSample, Effect, Parameter, Stage
-from noise.effects.state import MARGIN_DB, Clutter, Path, State, interpolate, number
+from noise.effects.state import Clutter, Path, State, interpolate, number
 
 GATE_MARGIN_M = 0.02  # distance of an initial gate beyond the farthest echo; chosen here
 MAX_NOISE_PER_M = 20.0  # false alarms per metre; chosen here
@@ -39,6 +39,7 @@ class Sensitivity(Effect):
             "SRF08 gain table; units differ by 3 to 6 dB",
             (30.0, 40.0, 50.0),
             typical=6.0,
+            adds=True,
         ),
     )
     loss_db: Tensor
@@ -48,11 +49,11 @@ class Sensitivity(Effect):
         return state.map_paths(lambda path: replace(path, level_db=path.level_db - self.loss_db))
 
     def statement(self) -> str:
-        """Return a sentence with the loss and the range of a wall at the threshold."""
+        """Return a sentence with the loss."""
         loss = self.values["loss_db"]
-        reach = 10 ** ((MARGIN_DB - loss) / 20)
-        missed = f"half the echoes of a wall at {reach:.2g} m"
-        return f"The receiver is {loss:.0f} dB less sensitive than an ideal one: it misses {missed}."
+        if loss < 0.0:
+            return f"The receiver is {-loss:.2g} dB more sensitive: it hears weaker echoes."
+        return f"The receiver is {loss:.2g} dB less sensitive: it misses weak echoes."
 
 
 class ClockScale(Effect):
@@ -63,7 +64,15 @@ class ClockScale(Effect):
     summary = "The sensor's clock, or its constant from time to range, has an error: all ranges are scaled"
     parameters = (
         Parameter(
-            "error", "1", 0.0, -0.05, 0.05, "resonators +-0.5 %; unit constants: chosen here", (0.0,), typical=0.01
+            "error",
+            "1",
+            0.0,
+            -0.05,
+            0.05,
+            "resonators +-0.5 %; unit constants: chosen here",
+            (0.0,),
+            typical=0.01,
+            adds=True,
         ),
     )
     error: Tensor
@@ -96,6 +105,7 @@ class ZeroOffset(Effect):
             "mounting +-30 mm; from a robot's origin: chosen here",
             (0.0,),
             typical=0.015,
+            adds=True,
         ),
     )
     offset_m: Tensor
@@ -238,6 +248,7 @@ class FalseAlarm(Effect):
             MAX_NOISE_PER_M,
             "1e-5 to 1e-2 a ping; with air noise: chosen here",
             (0.005, 1.0),
+            adds=True,
         ),
         Parameter("share", "1", 1.0, 0.01, 1.0, "of pings with noise: chosen here", (1.0, 0.3)),
         Parameter("from_m", "m", 0.0, 0.0, 1.0, "start of sensitive listening: chosen here", (0.0, 0.3), jumps=True),
@@ -383,7 +394,7 @@ class WarmUp(Effect):
     needs_time = by_clock = True
     summary = "The zero drifts while the sensor warms up"
     parameters = (
-        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01), typical=0.01),
+        Parameter("offset_m", "m", 0.0, -0.1, 0.1, "chosen here", (0.01, -0.01), typical=0.01, adds=True),
         Parameter("tau_s", "s", 600.0, 5.0, 7200.0, "5 to 20 min; wider: chosen here", (60.0, 600.0), decays=True),
     )
     offset_m: Tensor

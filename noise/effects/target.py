@@ -55,7 +55,9 @@ class ReflectanceLoss(Effect):
     stage = Stage.PATHS
     summary = "Reflectors of low reflectance send weaker echoes"
     parameters = (
-        Parameter("strength", "1", 0.0, 0.0, 2.0, "1 = amplitude in proportion to reflectance; chosen here", (1.0,)),
+        Parameter(
+            "strength", "1", 0.0, 0.0, 2.0, "1 = amplitude in proportion to reflectance; chosen here", (1.0,), adds=True
+        ),
     )
     strength: Tensor
 
@@ -66,7 +68,9 @@ class ReflectanceLoss(Effect):
 
     def statement(self) -> str:
         """Return a sentence with the loss at reflectance 0.1."""
-        return f"{self.summary}, by {20 * self.values['strength']:.0f} dB at reflectance 0.1."
+        loss_db = 20.0 * self.values["strength"]
+        weaker = "weaker" if loss_db >= 0.0 else "stronger"
+        return f"Reflectors of low reflectance send {weaker} echoes, by {abs(loss_db):.2g} dB at reflectance 0.1."
 
 
 class SpecularLoss(Effect):

@@ -64,8 +64,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     """Return the interval of every parameter of the effects.
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
-    the simulation is known no better than its readings allow. A size that may have either sign, such as an offset, and
-    the probability of lost readings are those of the difference: what the law of the simulation has, and what its own
+    the simulation is known no better than its readings allow. Sizes that add, such as offsets and losses in dB, and the
+    probability of lost readings are those of the difference: what the law of the simulation has, and what its own
     readings would add, are subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
@@ -81,12 +81,14 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
         base, own_error = _in_simulation(search, key, key in final.matched)
-        value = float(np.clip(value - base, p.low, p.high))
+        least, most = min(p.low, p.null) - base * p.adds, max(p.high, p.null) - base * p.adds
+        value = float(np.clip(value - base, least, most))
         spread = Z * float(np.hypot(error, own_error))
-        low, high = max(value - spread, min(p.low, p.null)), min(value + spread, max(p.high, p.null))
+        low, high = max(value - spread, least), min(value + spread, most)
         out[key] = Interval(value, low, high, p.unit)
-        if low <= p.low and high >= p.high:  # no curvature: the likelihood is flat within a step of the register
-            out[key] = profiled(final.single.stack, key, final.batch)
+        if low <= least and high >= most:  # no curvature: the likelihood is flat within a step of the register
+            flat = profiled(final.single.stack, key, final.batch)
+            out[key] = Interval(flat.value - base, flat.low - base, flat.high - base, p.unit)
     return out
 
 
@@ -115,9 +117,10 @@ def _in_simulation(search: Search, key: Key, matched: bool) -> tuple[float, floa
     p, effect = search.common.parameter(key), search.common.known[key[0]]
     alone = effect.by_ping and len(effect.parameters) == 1 and key[0] in search.common.values
     # a place or a width is the recording's own; with several parameters, the simulation may have another such fault
-    adds = (p.typical > 0.0 and p.low < p.null < p.high) or alone
-    if search.simulated is None or not adds:
+    if not (p.adds or alone):
         return 0.0, 0.0
+    if search.simulated is None:
+        return search.common.get(key) - p.null, 0.0
     fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
     fitted = refit_without_urn(fitted, (key,), search.simulated)
     law = search.common if matched else fitted.stack
@@ -126,5 +129,5 @@ def _in_simulation(search: Search, key: Key, matched: bool) -> tuple[float, floa
 
 def statement(search: Search, name: str, values: Sequence[tuple[Key, Interval]]) -> str:
     """Return the sentence of an effect at its estimated values."""
-    stack = search.common.put([key for key, _ in values], [interval.value for _, interval in values])
-    return stack.known[name](**stack.values[name]).statement()
+    found = search.common.values.get(name, {}) | {key[1]: interval.value for key, interval in values}
+    return search.common.known[name].unchecked(found).statement()

@@ -16,7 +16,7 @@ from noise.discrepancy.name.candidates import (
     shows,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.estimates import conclude, intervals
+from noise.discrepancy.name.estimates import conclude, intervals, statement
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error, weights
@@ -202,6 +202,31 @@ def test_lost_readings_are_those_that_the_simulation_does_not_lose():
     known = intervals(search, conclude(search, found))[("dropped_reading", "probability")]
     assert known.low < 0.10 < known.high
     assert known.high < 0.15
+
+
+@pytest.mark.parametrize("more_db", [8.0, -8.0])
+def test_a_loss_is_that_beyond_the_loss_of_the_simulation(more_db):
+    def less_sensitive(loss_db):
+        return {"sensitivity": {"loss_db": loss_db}}
+
+    key = ("sensitivity", "loss_db")
+    common = law_of().put([key], [42.0])
+    search = search_of(less_sensitive(42.0 + more_db), simulated=batch_of(less_sensitive(42.0), seed=77), law=common)
+    start = search.null().stacks[0].put([key], [42.0 + more_db])
+    found = search.crossed(start, search.null(), ("sensitivity",), own_scatter=False)
+    known = intervals(search, conclude(search, found))[key]
+    assert known.low < more_db < known.high
+    assert known.value == pytest.approx(more_db, abs=2.0)
+    assert f"dB {'less' if more_db > 0 else 'more'} sensitive" in statement(search, "sensitivity", [(key, known)])
+
+
+def test_a_law_that_is_known_has_its_own_size_subtracted():
+    key = ("zero_offset", "offset_m")
+    search = search_of({"zero_offset": {"offset_m": 0.032}}, law=law_of().put([key], [0.02]))
+    found = search.crossed(search.null().stacks[0].put([key], [0.03]), search.null(), ("zero_offset",), False)
+    known = intervals(search, conclude(search, found))[key]
+    assert known.low < 0.012 < known.high
+    assert known.high - known.low < 0.01
 
 
 def test_where_a_reflector_stands_is_no_difference_from_where_another_stood():
