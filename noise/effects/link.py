@@ -30,7 +30,9 @@ class Spike(Effect):
     by_ping = True
     summary = "Some readings are replaced by random ones"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: chosen here", (0.01,)),
+        Parameter(
+            "probability", "1", 0.0, 0.0, 0.5, "Sharma et al. (2010) SHORT; rate: chosen here", (0.01,), adds=True
+        ),
         Parameter("span_m", "m", FULL_SCALE, 0.1, 20.0, "scale of the register: Devantech SRF08", (FULL_SCALE,)),
     )
     probability: Tensor
@@ -62,7 +64,9 @@ class DroppedReading(Effect):
     localised = True
     by_ping = True
     summary = "Some readings are lost, regardless of the target"
-    parameters = (Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: chosen here", (0.02,)),)
+    parameters = (
+        Parameter("probability", "1", 0.0, 0.0, 0.9, "bus faults 0.1 to 10 %; wider: chosen here", (0.02,), adds=True),
+    )
     probability: Tensor
 
     def apply(self, state: State) -> State:
@@ -112,7 +116,9 @@ class Stuck(Effect):
     by_ping = True
     summary = "Some readings have a constant value, regardless of the target"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: chosen here", (0.02,)),
+        Parameter(
+            "probability", "1", 0.0, 0.0, 0.999, "Sharma et al. (2010) CONSTANT; rate: chosen here", (0.02,), adds=True
+        ),
         Parameter("value_m", "m", 1.0, 0.001, 20.0, "value of the register; chosen here", (1.0,), jumps=True),
     )
     probability: Tensor
@@ -149,7 +155,9 @@ class NoiseBurst(Effect):
     by_ping = True
     summary = "Some readings scatter much more than the others"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: chosen here", (0.05,)),
+        Parameter(
+            "probability", "1", 0.0, 0.0, 0.9, "Sharma et al. (2010) NOISE; rate: chosen here", (0.05,), adds=True
+        ),
         Parameter("sigma_m", "m", 0.1, 0.005, 0.6, "wider is a spike: chosen here", (0.05, 0.3)),
     )
     probability: Tensor
@@ -180,7 +188,7 @@ class CorruptedByte(Effect):
     by_ping = True
     summary = "Some readings have a wrong bit: an error of a power of two"
     parameters = (
-        Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: chosen here", (0.03,)),
+        Parameter("probability", "1", 0.0, 0.0, 0.5, "bus faults 0.01 to 1 %; wider: chosen here", (0.03,), adds=True),
         Parameter(
             "unit_m", "m", 0.01, 1e-4, 0.03, "unit of the register: cm, inch, us", (0.01, 0.0254, 1.7241e-4), jumps=True
         ),

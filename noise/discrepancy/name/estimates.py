@@ -64,9 +64,9 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     """Return the interval of every parameter of the effects.
 
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
-    the simulation is known no better than its readings allow. Sizes that add, such as offsets and losses in dB, and the
-    probability of lost readings are those of the difference: what the law of the simulation has, and what its own
-    readings would add, are subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
+    the simulation is known no better than its readings allow. Sizes that add, such as offsets, losses and probabilities
+    of faults, are those of the difference: what the law of the simulation has, and what its own readings would add, are
+    subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
     """
     fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
     errors: dict[Key, float] = {}
@@ -80,9 +80,8 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
             out[key] = profiled(final.single.stack, key, final.batch)
             continue
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
-        base, own_error = _in_simulation(search, key, key in final.matched)
-        least, most = min(p.low, p.null) - base * p.adds, max(p.high, p.null) - base * p.adds
-        value = float(np.clip(value - base, least, most))
+        base, own_error = _in_simulation(search, key, final)
+        value, least, most = value - base, min(p.low, p.null) - base, max(p.high, p.null) - base
         spread = Z * float(np.hypot(error, own_error))
         low, high = max(value - spread, least), min(value + spread, most)
         out[key] = Interval(value, low, high, p.unit)
@@ -109,21 +108,22 @@ def profiled(stack: Stack, key: Key, batch: Batch) -> Interval:
     return Interval(value, end(-1.0), end(1.0), p.unit)
 
 
-def _in_simulation(search: Search, key: Key, matched: bool) -> tuple[float, float]:
+def _in_simulation(search: Search, key: Key, final: Final) -> tuple[float, float]:
     """Return how far a parameter of a difference lies from its null value in the simulation, and the standard error.
 
-    Where the readings of both files are matched, the difference is that of the laws.
+    A place or a width is the recording's own. The probability of a fault is that of the same fault, such as a reading
+    stuck at the same value. Where the readings of both files are matched, the difference is that of the laws.
     """
-    p, effect = search.common.parameter(key), search.common.known[key[0]]
-    alone = effect.by_ping and len(effect.parameters) == 1 and key[0] in search.common.values
-    # a place or a width is the recording's own; with several parameters, the simulation may have another such fault
-    if not (p.adds or alone):
+    common, p, effect = search.common, search.common.parameter(key), search.common.known[key[0]]
+    if not p.adds:
         return 0.0, 0.0
     if search.simulated is None:
-        return search.common.get(key) - p.null, 0.0
-    fitted = maximise(search.common, (key, *search.nuisances), search.simulated, 40)
+        return common.get(key) - p.null, 0.0
+    others = [(key[0], other.name) for other in effect.parameters if effect.by_ping and not other.adds]
+    same = common.put(others, [final.single.stack.get(other) for other in others])
+    fitted = maximise(same, (key, *search.nuisances), search.simulated, 40)
     fitted = refit_without_urn(fitted, (key,), search.simulated)
-    law = search.common if matched else fitted.stack
+    law = common if key in final.matched else fitted.stack
     return law.get(key) - p.null, float(np.sqrt(covariance(fitted, search.simulated)[0, 0]))
 
 
