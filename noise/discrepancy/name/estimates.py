@@ -119,8 +119,8 @@ def _in_simulation(search: Search, key: Key, final: Final) -> tuple[float, float
         return 0.0, 0.0
     if search.simulated is None:
         return common.get(key) - p.null, 0.0
-    others = [(key[0], other.name) for other in effect.parameters if effect.by_ping and not other.adds]
-    same = common.put(others, [final.single.stack.get(other) for other in others])
+    own = [(key[0], each.name) for each in effect.parameters if effect.by_ping]
+    same = common.put(own, [final.single.stack.get(each) for each in own])
     fitted = maximise(same, (key, *search.nuisances), search.simulated, 40)
     fitted = refit_without_urn(fitted, (key,), search.simulated)
     law = common if key in final.matched else fitted.stack

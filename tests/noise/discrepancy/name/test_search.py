@@ -204,6 +204,24 @@ def test_lost_readings_are_those_that_the_simulation_does_not_lose():
     assert known.high < 0.15
 
 
+@pytest.mark.parametrize("value_m", [1.7, 0.9])
+def test_a_fault_is_that_beyond_the_same_fault_of_the_simulation(value_m):
+    """The law of the simulation lacks its fault; a reading that sticks at another value is another fault."""
+
+    def stuck(probability, value_m):
+        return {"stuck": {"probability": probability, "value_m": value_m}}
+
+    search = search_of(stuck(0.15, value_m), simulated=batch_of(stuck(0.05, 1.7), seed=77))
+    keys = [("stuck", "probability"), ("stuck", "value_m")]
+    start = search.null().stacks[0].put(keys, [0.1, value_m])
+    found = search.crossed(start, search.null(), ("stuck",), own_scatter=False)
+    known = intervals(search, conclude(search, found))[keys[0]]
+    recorded, simulated = (np.mean(np.abs(b.reading.range - value_m) < 1e-3) for b in (search.joined, search.simulated))
+    assert (simulated > 0.02) == (value_m == 1.7)
+    assert known.value == pytest.approx(recorded - simulated, abs=0.01)
+    assert known.low < recorded - simulated < known.high
+
+
 @pytest.mark.parametrize("more_db", [8.0, -8.0])
 def test_a_loss_is_that_beyond_the_loss_of_the_simulation(more_db):
     def less_sensitive(loss_db):
