@@ -10,8 +10,10 @@ def main() -> None:
     before = signal.getsignal(signal.SIGINT)
     if before is signal.default_int_handler:  # not where a shell has begun a background job that ignores it
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    import acquisition
-
+    try:
+        import acquisition
+    except ImportError as error:
+        raise SystemExit(f"sonar-gym: {error}") from None
     if not hasattr(acquisition, "SonarError"):  # said here, since nothing of the package that is hidden can say it
         raise SystemExit(
             f"sonar-gym: `import acquisition` finds {acquisition.__file__}, not sonar-gym: "

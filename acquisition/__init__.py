@@ -31,8 +31,15 @@ from acquisition.errors import (
     UnknownModelError,
     UnpluggedError,
 )
-from acquisition.ping import EchoStatus, Ping, Reading, previous
+from acquisition.name_check import ForeignNameError, foreign
 from acquisition.version import __version__ as __version__
+
+try:
+    from acquisition.ping import EchoStatus, Ping, Reading, previous
+except (ImportError, AttributeError):
+    if (_reason := foreign()) is None:
+        raise
+    raise ForeignNameError(_reason) from None
 
 if TYPE_CHECKING:
     from acquisition.io.given import as_recording

@@ -20,19 +20,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from acquisition.arrays import Floats
 from acquisition.io.files import write_bytes
 from training.agents.evaluate import Rate
-from training.agents.zoo.command import BOARD, RESULT
+from training.agents.zoo.board import success_rate
+from training.agents.zoo.command import RESULT
 from training.common.canvas import AFTER, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.records import write_record
 from training.common.statistics import AgentScores
 from training.common.tables import markdown_table
 
-SUCCESS = "rollout/success_rate"
 POINTS = 100  # of a curve
 SOLVED = 0.9  # share of the streets of the test
 HEADER = ("row", "seeds", "parked, each", "interquartile mean", "90 % or more", "minutes, processor")
@@ -87,11 +86,7 @@ class Row:
 
 def curve(folder: Path, steps: Floats) -> Floats:
     """Return the success rate at some numbers of steps, 0 before the first that was logged, (p,)."""
-    (run,) = (folder / BOARD).iterdir()
-    board = EventAccumulator(str(run), size_guidance={"scalars": 0})
-    board.Reload()
-    events = board.Scalars(SUCCESS)
-    return np.interp(steps, [one.step for one in events], [one.value for one in events], left=0.0)
+    return np.interp(steps, *success_rate(folder), left=0.0)
 
 
 def figure(record: list[dict[str, Any]]) -> bytes:

@@ -47,11 +47,11 @@ def check_fields(cls: type, given: Mapping[str, Any], name: str = "") -> None:
     """Raise SettingError for what is no mapping, and for a name that is no field of a dataclass."""
     if not isinstance(given, Mapping):
         raise _no_settings(cls, given, name)
-    known = [field.name for field in fields(cls)]
-    for name in given:
-        if name not in known:
+    known = [one.name for one in fields(cls)]
+    for field in given:
+        if field not in known:
             raise UnknownFieldError(
-                f"{cls.__name__}: unknown field {name!r}; expected {', '.join(known)}{near(name, known)}"
+                f"{name or cls.__name__}: unknown field {field!r}; expected {', '.join(known)}{near(field, known)}"
             )
 
 

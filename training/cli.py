@@ -83,6 +83,10 @@ COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.it
 COMPLETION = "completion"
 SPECIFICATION = "COMPLETION_SPEC = "  # the line of the script that holds commands, options and descriptions
 SHELLS = ("bash", "zsh", "fish")
+ZSH_CALL = '\n_tyro_sonar_gym "$@"\n'  # which fails where the script is sourced, not completed from
+ZSH_CALL_OR_SOURCED = (
+    '\nif [ "$funcstack[1]" = "_sonar-gym" ]; then _tyro_sonar_gym "$@"; else compdef _tyro_sonar_gym sonar-gym; fi\n'
+)
 FOOT = """`sonar-gym COMMAND --help` lists the options of each; --debug shows the traceback of a failure.
 `sonar-gym --version`; `sonar-gym completion bash|zsh|fish` prints a script for the shell."""
 DEBUG = "--debug"  # of every command: shows the traceback of a failure
@@ -132,9 +136,16 @@ def completion(argv: Sequence[str]) -> str:
     script = io.StringIO()
     with contextlib.redirect_stdout(script), contextlib.suppress(SystemExit):
         tyro.extras.subcommand_cli_from_dict(settings, prog="sonar-gym", args=["--tyro-print-completion", argv[0]])
-    # a shell takes every line of a description for another completion
-    lines = script.getvalue().splitlines(keepends=True)
-    return "".join(line.replace(r"\n", " ") if line.startswith(SPECIFICATION) else line for line in lines)
+    lines = script.getvalue().replace(ZSH_CALL, ZSH_CALL_OR_SOURCED).splitlines(keepends=True)
+    return "".join(_described(line) if line.startswith(SPECIFICATION) else line for line in lines)
+
+
+def _described(specification: str) -> str:
+    """Give each command its summary, of which tyro knows the name alone; a shell takes each line for a completion."""
+    for name, (_, summary) in COMMANDS.items():
+        entry, quoted = f"'{name}': {{'description': ", summary.replace("'", r"\'")
+        specification = specification.replace(f"{entry}'{name}'", f"{entry}'{quoted}'")
+    return specification.replace(r"\n", " ")
 
 
 def _run(name: str, argv: Sequence[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import TypeAlias
 
 import pandas as pd
 
@@ -10,7 +11,7 @@ from acquisition.errors import SettingError
 from acquisition.io.recording import Recording
 from acquisition.limits import check_value
 
-RecordingLike = Recording | pd.DataFrame | str | os.PathLike[str]
+RecordingLike: TypeAlias = Recording | pd.DataFrame | str | os.PathLike[str]
 
 
 def as_recording(given: RecordingLike, name: str = "recording") -> Recording:

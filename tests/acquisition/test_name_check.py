@@ -37,7 +37,7 @@ def test_a_file_of_the_users_is_named(tmp_path):
     assert f"rename {tmp_path / 'noise.py'}, since Python finds it first" in done.stderr
 
 
-@pytest.mark.parametrize("name", ["training", "tyro", "pandas"])
+@pytest.mark.parametrize("name", ["training", "tyro", "pandas", "numpy"])
 def test_the_command_names_the_file_that_hides_what_it_needs(tmp_path, name):
     done = hidden_by(tmp_path, name, "from sonar_gym_command import main; sys.argv[1:] = ['plot', 'rec.csv']; main()")
     assert done.stderr.startswith(f"sonar-gym: `import {name}` finds {tmp_path / name}.py, not ")

@@ -1,6 +1,7 @@
 """The console command, also as a process: output and exit code."""
 
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -41,8 +42,29 @@ def test_a_shell_completes_commands_and_options(shell, capsys):
     text = capsys.readouterr().out
     assert all(name in text for name in COMMANDS)
     assert "--range-register" in text
-    specification = [line for line in text.splitlines() if line.startswith("COMPLETION_SPEC = ")]
-    assert not any(r"\n" in line for line in specification)
+    (line,) = [line for line in text.splitlines() if line.startswith("COMPLETION_SPEC = ")]
+    assert r"\n" not in line
+    assert [name for name, (_, summary) in COMMANDS.items() if summary.replace("'", r"\'") not in line] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shell", "asks"),
+    [
+        ("bash", "source {}; complete -p sonar-gym"),
+        ("zsh", "autoload -U compinit; compinit -D; source {}; print $_comps[sonar-gym]"),
+        ("fish", "source {}; complete -C 'sonar-gym diagn'"),
+    ],
+)
+def test_a_shell_sources_its_script(shell, asks, capsys, tmp_path):
+    if shutil.which(shell) is None:
+        pytest.skip(f"no {shell}: install it to test its completion")
+    main(["completion", shell])
+    script = tmp_path / "script"
+    script.write_text(capsys.readouterr().out)
+    done = subprocess.run([shell, "-c", asks.format(script)], capture_output=True, text=True)
+    assert done.stderr == ""
+    assert {"bash": "-F _tyro_sonar_gym", "zsh": "_tyro_sonar_gym"}.get(shell, "diagnose\tfind where") in done.stdout
 
 
 def test_an_unknown_shell_is_named(capsys):

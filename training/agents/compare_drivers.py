@@ -1,4 +1,4 @@
-"""Park on the same streets with an ideal and real sonars, with and without weighting by credence.
+"""Park on the same streets with an ideal and noisy sonars, with and without weighting by credence.
 
 All arms use the scripted driver. Differences in success have 95 % intervals and the p-value of McNemar's exact test,
 from the streets on which exactly one of two arms parked.

@@ -47,6 +47,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 11,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.prop_cycle": f"cycler(color={[AFTER, BEFORE, SOFT, INK]})",
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,

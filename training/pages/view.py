@@ -22,6 +22,7 @@ from acquisition.io.files import is_file, write_text
 from acquisition.io.places import OutputFile
 from acquisition.io.schema import read_json
 from noise import load_model
+from training.agents.zoo.board import success_rate
 from training.common.canvas import AFTER, BEFORE, Axes, panels
 from training.recordings.figures import readings
 
@@ -29,6 +30,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 MARK = b": results of sonar_gym</title>"  # by which a page of this command is known
 MAX_DEPTH, MAX_ITEMS = 5, 200  # levels of folders that are searched, and results on a page
 MAX_BYTES = 50_000_000  # of a recording that is drawn
+MODEL = "model.zip"  # of an agent of the zoo
 PICTURES = (".png", ".gif", ".svg")
 ANGLES_DEG = ((0.0, AFTER), (20.0, BEFORE))  # bearings at which the credence of a model is drawn
 KINDS = ("Pictures", "Diagnoses", "Recordings", "Models", "Agents")
@@ -68,6 +70,16 @@ class _Verdict(BaseModel):
 
     verdict: str
     summary: str
+
+
+class _Result(BaseModel):
+    """What is shown of an agent of the zoo."""
+
+    algorithm: str
+    env: str
+    sonar: str
+    episodes: int
+    share: float
 
 
 class _Kind(BaseModel):
@@ -121,7 +133,10 @@ def _kind_of(path: Path) -> tuple[str, Describe | None]:
         "verdict.json": ("Diagnoses", _diagnosis),
         "model.json": ("Models", _model),
         "agent.json": ("Agents", _agent),
+        "result.json": ("Agents", _of_zoo),
     }
+    if path.name == "result.json" and not path.with_name(MODEL).exists():  # of another program
+        return "", None
     return found.get(path.name, ("", None))
 
 
@@ -201,3 +216,23 @@ def _agent(path: Path, base: Path) -> Item:
     links = {"agent.json": _link(path, base)} | ({"card": _link(card, base)} if card.exists() else {})
     pictures = _beside(path.parent, base) + _beside(path.parent.parent, base)
     return Item("", f"parking agent; use it with sonar_gym.load_agent({str(path.parent)!r})", links, pictures)
+
+
+def _of_zoo(path: Path, base: Path) -> Item:
+    result = read_json(path, _Result)
+    links = {name: _link(path.with_name(name), base) for name in (MODEL, "README.md") if path.with_name(name).exists()}
+    text = (
+        f"{result['algorithm']} of the zoo, {result['env']} with sonar {result['sonar']}: "
+        f"parked in {result['share']:.1%} of {result['episodes']} unseen streets"
+    )
+    return Item("", text, links, [_drawn(_learning(path.parent), "share of episodes parked during training")])
+
+
+def _learning(folder: Path) -> bytes:
+    steps, rates = success_rate(folder)
+
+    def draw(axes: Axes) -> None:
+        axes.plot(steps / 1e6, 100.0 * rates, color=AFTER)
+        axes.set(xlabel="million steps", ylabel="parked (%)", ylim=(-2.0, 102.0))
+
+    return panels([draw], (5.4, 3.2))

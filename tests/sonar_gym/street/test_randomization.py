@@ -99,7 +99,7 @@ def test_options_fix_the_difficulty():
         ({"mounts": 0.1}, "randomize mounts: expected a list, got 0.1"),
         ({"mounts": (-0.1, 5.0)}, "randomize mounts: expected a number from 0 to 1000 m, got -0.1 m"),
         ({"mounts": (0.01, np.nan)}, "randomize mounts: expected a number from 0 to 360 deg, got nan deg"),
-        ({"weather": 1.0}, "Randomization: unknown field 'weather'; expected street, mounts"),
+        ({"weather": 1.0}, "randomize: unknown field 'weather'; expected street, mounts"),
     ],
 )
 def test_invalid_distributions_raise_an_error(given, message):

@@ -1,5 +1,6 @@
 """The page of a folder of results."""
 
+import json
 import os
 import re
 import shutil
@@ -96,3 +97,21 @@ def test_a_pipe_and_a_link_to_nothing_are_no_results(results, capsys):
     text = Path(capsys.readouterr().out.strip()).read_text()
     assert "pipe.csv" not in text
     assert "link.csv" not in text
+
+
+def test_an_agent_of_the_zoo_is_listed_with_its_curve(tmp_path, capsys):
+    from torch.utils.tensorboard import SummaryWriter
+
+    folder = tmp_path / "ppo"
+    with SummaryWriter(str(folder / "tensorboard" / "ppo_0")) as board:
+        for k in range(3):
+            board.add_scalar("rollout/success_rate", 0.4 * k, 1000 * k)
+    (folder / "model.zip").write_bytes(b"")
+    result = {"algorithm": "ppo", "env": "SonarParking-v0", "sonar": "ideal", "episodes": 200, "share": 0.985}
+    (folder / "result.json").write_text(json.dumps(result))
+    (tmp_path / "result.json").write_text("{}")  # of another program
+    main(["view", str(tmp_path)])
+    text = Path(capsys.readouterr().out.strip()).read_text()
+    assert "ppo of the zoo, SonarParking-v0 with sonar ideal: parked in 98.5% of 200 unseen streets" in text
+    assert text.count("data:image/png;base64,") == 1
+    assert "cannot be read" not in text

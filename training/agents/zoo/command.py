@@ -40,13 +40,14 @@ from noise.store import ModelName
 from sonar_gym.curriculum import Curriculum
 from sonar_gym.sb3 import SonarVecEnv
 from training.agents.evaluate import Rate
+from training.agents.zoo.board import BOARD
 from training.agents.zoo.checkpoint import load_learner, save_learner
 from training.agents.zoo.settings import Tuned, tuned
 from training.common.checkpoint import check_same, read_state
 from training.common.progress import OnProgress, progress_bars
 
 CARD = Path(__file__).parents[1] / "templates" / "zoo_card.md"
-MODEL, README, RESULT, BOARD = "model.zip", "README.md", "result.json", "tensorboard"
+MODEL, README, RESULT = "model.zip", "README.md", "result.json"
 CHECKPOINT = "checkpoint.safetensors"  # of an unfinished training
 LEGS = 20  # of a training of the tuned length
 STREETS_AT_ONCE = 100
