@@ -62,7 +62,7 @@ def place_of(search: Search, found: Hypothesis, name: str) -> Place:
         without = search.left_out(found, name)
         fits = {other: _beside(search, without, fit, other) for other, fit in fits.items()}
     own = fits.pop(name)
-    fits = {other: search.polished(fit, found) if search.may_lead(fit, own) else fit for other, fit in fits.items()}
+    fits = {other: search.polished(fit) if search.may_lead(fit, own) else fit for other, fit in fits.items()}
     inside = {other: fit for other, fit in fits.items() if search.explains(fit, other)}
     every = {name: found, **inside}
     lead = min((found.value - fit.value for fit in inside.values()), default=np.inf)

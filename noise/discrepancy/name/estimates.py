@@ -29,6 +29,7 @@ class Final:
         joint: fit of effects and nuisances, which predicts a reading from those before it in its visit.
         single: the same for single readings, each of which counts once: what a simulator samples.
         batch: readings of the fits.
+        fits: the same as they were fitted, at the maximum of the likelihood, where its curvature tells their errors.
         matched: parameters whose difference from the law of the simulation is that of the readings of both files.
     """
 
@@ -36,6 +37,7 @@ class Final:
     joint: Fit
     single: Fit
     batch: Batch
+    fits: tuple[Fit, ...]
     matched: frozenset[Key] = frozenset()
 
     @property
@@ -57,7 +59,7 @@ def conclude(search: Search, found: Hypothesis) -> Final:
     keys = search.keys(found.effects)
     joint = maximise(found.stacks[0], (*keys, *search.nuisances), batch, 60)
     single = refit_without_urn(joint, keys, batch) if found.effects else joint
-    return Final(found.effects, joint, single, batch)
+    return Final(found.effects, joint, single, batch, (joint, single) if single is not joint else (joint,))
 
 
 def intervals(search: Search, final: Final) -> dict[Key, Interval]:
@@ -66,11 +68,12 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
     The variance is that of the recording, robust to dependence within visits, plus that of the simulation: the law of
     the simulation is known no better than its readings allow. Sizes that add, such as offsets, losses and probabilities
     of faults, are those of the difference: what the law of the simulation has, and what its own readings would add, are
-    subtracted. Where the curvature says nothing, the likelihood itself gives the interval.
+    subtracted. Where both files agree at another size than the likelihood's, the distance between the two is an error
+    too. Where the curvature says nothing, the likelihood itself gives the interval.
     """
-    fits = [final.joint, final.single] if final.single is not final.joint else [final.joint]
     errors: dict[Key, float] = {}
-    for fit in fits:  # the fit of single readings holds those of effects on single pings alone
+    moved = {key: final.stack.get(key) - final.fits[0].stack.get(key) for key in final.matched}
+    for fit in final.fits:  # the fit of single readings holds those of effects on single pings alone
         errors |= zip(fit.free, np.sqrt(np.diag(covariance(fit, final.batch))).tolist(), strict=True)
     out = {}
     for key, error in errors.items():
@@ -82,7 +85,7 @@ def intervals(search: Search, final: Final) -> dict[Key, Interval]:
         p, value = final.single.stack.parameter(key), final.single.stack.get(key)
         base, own_error = _in_simulation(search, key, final)
         value, least, most = value - base, min(p.low, p.null) - base, max(p.high, p.null) - base
-        spread = Z * float(np.hypot(error, own_error))
+        spread = Z * float(np.linalg.norm([error, own_error, moved.get(key, 0.0)]))
         low, high = max(value - spread, least), min(value + spread, most)
         out[key] = Interval(value, low, high, p.unit)
         if low <= least and high >= most:  # no curvature: the likelihood is flat within a step of the register

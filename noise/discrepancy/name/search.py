@@ -209,15 +209,10 @@ class Search:
             stacks.append(start)
         return self.scored(effects, stacks)
 
-    def polished(self, found: Hypothesis, rival: Hypothesis | None = None) -> Hypothesis:
-        """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them.
-
-        Those of a rival are further starts: where two effects explain the same, they leave the same scatter.
-        """
+    def polished(self, found: Hypothesis) -> Hypothesis:
+        """Return a hypothesis with all nuisances fitted anew, so that the next effect gains nothing from them."""
         pairs = zip(found.stacks, self.parts, strict=True)
         starts = [[*found.stacks, *self.shared_first(stack, found.effects, part)] for stack, part in pairs]
-        for each, near in zip(starts, rival.stacks if rival else (), strict=False):
-            each.append(each[0].put(self.nuisances, [near.get(key) for key in self.nuisances]))
         return self.best(starts, (*self.keys(found.effects), *self.nuisances), found.effects)
 
     def shared_first(self, stack: Stack, effects: Sequence[str], batch: Batch) -> list[Stack]:

@@ -1,8 +1,12 @@
 """Recordings made by a known law, with targets placed a little off their marks."""
 
+from functools import cache
+
 import numpy as np
 
 from acquisition import Ping, Recording
+from noise.discrepancy.name.folds import Folds
+from noise.discrepancy.name.search import Search
 from noise.effects import CATALOGUE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import VISITS, Stack
@@ -16,6 +20,16 @@ USUAL = {
     "specular_loss": {"strength": 0.7},
 }
 PLACEMENT_M = 0.002
+CHANGES = {
+    "sound_speed": {"sound_speed": {"temperature_c": 31.0}},
+    "zero_offset": {"zero_offset": {"offset_m": 0.012}},
+    "dropped_reading": {"dropped_reading": {"probability": 0.08}},
+    "time_walk": {"time_walk": {"scale": 1.0}},
+    "spike": {"spike": {"probability": 0.05}},
+    "fixed_clutter": {"fixed_clutter": {"presence": 0.3, "range_m": 0.9, "spread_m": 0.01}},
+    "sensitivity": {"sensitivity": {"loss_db": 43.0}},
+    "noise_burst": {"noise_burst": {"probability": 0.1, "sigma_m": 0.08}},
+}
 
 
 def model_of(changed=None):
@@ -46,3 +60,17 @@ def batch_of(changed=None, seed=0, **survey):
 def law_of():
     """Return the law of the usual sonar with its placement."""
     return Stack.of(model_of()).put([(VISITS, "placement_m")], [PLACEMENT_M])
+
+
+def search_of(changed, seed=3, simulated=None, law=None, without=(), **survey):
+    """Return a search in a recording with changes of the law."""
+    batch = batch_of(changed, seed, **survey)
+    folds = Folds.of(batch, np.random.default_rng(seed))
+    return Search(law_of() if law is None else law, folds, simulated, np.random.default_rng(seed), without)
+
+
+@cache
+def found_of(name):
+    """Return the search for one change, and what it found; made once, since it takes seconds."""
+    search = search_of(CHANGES[name])
+    return search, search.run()[1]
