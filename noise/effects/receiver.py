@@ -31,17 +31,10 @@ class Sensitivity(Effect):
     summary = "The receiver is less sensitive than an ideal one: echoes near its threshold are missed"
     parameters = (
         Parameter(
-            "loss_db",
-            "dB",
-            0.0,
-            0.0,
-            80.0,
-            "SRF08 gain table; units differ by 3 to 6 dB",
-            (30.0, 40.0, 50.0),
-            typical=6.0,
-            adds=True,
+            "loss_db", "dB", 0.0, 0.0, 80.0, "SRF08 gain table; units differ by 3 to 6 dB", (30.0, 40.0, 50.0),
+            typical=6.0, adds=True,
         ),
-    )
+    )  # fmt: skip
     loss_db: Tensor
 
     def apply(self, state: State) -> State:
@@ -97,17 +90,10 @@ class ZeroOffset(Effect):
     summary = "The reference plane of ranges differs from that of distances: all ranges have the same offset"
     parameters = (
         Parameter(
-            "offset_m",
-            "m",
-            0.0,
-            -0.5,
-            0.5,
-            "mounting +-30 mm; from a robot's origin: chosen here",
-            (0.0,),
-            typical=0.015,
-            adds=True,
+            "offset_m", "m", 0.0, -0.5, 0.5, "mounting +-30 mm; from a robot's origin: chosen here", (0.0,),
+            typical=0.015, adds=True,
         ),
-    )
+    )  # fmt: skip
     offset_m: Tensor
 
     def apply(self, state: State) -> State:
