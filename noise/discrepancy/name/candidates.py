@@ -15,7 +15,7 @@ from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit
 from noise.fitting.likelihood import log_likelihood, log_likelihoods
 from noise.fitting.stack import JITTER, SPREAD, STEPWISE, Key, Stack
-from noise.fitting.starts import nuisance_start, robust_scatter, starting_points
+from noise.fitting.starts import guesses_of, nuisance_start, robust_scatter, starting_points
 
 AT_BOUND = 1e-3  # share of the width of the bounds within which a parameter counts as at its bound
 INSIDE, NEEDED = 0.1, 3.0  # share of that width, and nats that a value so far inside loses where a bound is needed
@@ -91,7 +91,8 @@ def starts_of(
     """Return the log-likelihood of the best start of an effect, and starts that are worth a fit, the best first.
 
     These are the best with each scatter, since what a law without the effect gets wrong stretches its scatter and no
-    local fit leads back from there, and the second best where a few readings cannot tell it from the best.
+    local fit leads back from there, the second best where a few readings cannot tell it from the best, and what the
+    effect itself estimates from the readings: until it is fitted, the scatter may describe the readings as well.
 
     Args:
         stack: without the effect.
@@ -102,14 +103,18 @@ def starts_of(
         rng: scrambles the design.
     """
     points = starting_points(stack, name, grid, rng, DESIGN, whole)
-    values = [{key: point.get(key) for key in keys_of(stack, name, whole)} for point in points]
+    keys = keys_of(stack, name, whole)
+    values = [{key: point.get(key) for key in keys} for point in points]
     starts = [*points, *(other.at(value) for other in scatters for value in values)]
     nats = log_likelihoods(starts, grid)
     order = np.argsort(-nats, kind="stable")
     group = order // len(points)
     first = [int(np.argmax(group == k)) for k in range(len(scatters) + 1)]
     second = [1] if nats[order[1]] > nats[order[0]] - CLOSE else []
-    return float(nats[order[0]]), [starts[order[k]] for k in sorted({*first, *second})]
+    guesses = [stack.at({key: guess[key[1]] for key in keys}) for guess in guesses_of(stack.known[name], whole)]
+    estimates = [{key: guess.get(key) for key in keys} for guess in guesses]
+    estimated = [k for k, row in enumerate(order) if row < len(points) and values[row] in estimates]
+    return float(nats[order[0]]), [starts[order[k]] for k in sorted({*first, *second, *estimated})]
 
 
 def scatters_of(stack: Stack, common: Stack, batch: Batch) -> list[Stack]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from acquisition.arrays import Floats
 from noise.discrepancy.locate.trend import UNCOMPENSATED
 from noise.discrepancy.name.candidates import as_in
 from noise.discrepancy.thresholds import SPREAD_TOLERANCE
@@ -104,46 +105,61 @@ def with_compensation(common: Stack, keys: Sequence[Key], recorded: Sequence[Sta
     return law if _nats(law, simulated) > _nats(common, simulated) - ENOUGH else None
 
 
+def in_simulation(
+    common: Stack, keys: Sequence[Key], recorded: Sequence[Stack], simulated: Batch
+) -> tuple[Stack, float]:
+    """Return the law of the simulation with an effect as its own readings have it, and what these gain, nats.
+
+    Args:
+        common: law of the simulation.
+        keys: parameters of the effect.
+        recorded: stacks with the effect, fitted to each part of the recording.
+        simulated: readings of the simulation.
+    """
+    own = maximise(common.put(keys, _mean(keys, recorded)), (*keys, *SPREAD), simulated, ITERATIONS, 1.0)
+    return own.stack, own.nats - _nats(common, simulated)
+
+
 def with_effect(
-    common: Stack,
+    own: Stack,
     keys: Sequence[Key],
     recorded: Sequence[Stack],
     parts: Sequence[Batch],
     simulated: Batch,
     least_gain: float,
-) -> Stack | None:
-    """Return the law of the simulation with an effect that it lacked; None where it has none of it.
+) -> Stack:
+    """Return the law of the simulation with an effect that both files have.
 
-    The simulation's own readings decide whether it has the effect. Its value there is that of the recording too where
-    separate values gain no more than chance; if they do, the difference from it remains to be found.
+    Its value in the simulation is that of the recording too where separate values gain no more than chance; if they do,
+    the difference from it remains to be found.
 
     Args:
-        common: law of the simulation.
+        own: law of the simulation with the effect as its own readings have it.
         keys: parameters of the effect.
         recorded: stacks with the effect, fitted to each part of the recording.
         parts: of the recording.
         simulated: readings of the simulation.
         least_gain: gain that is beyond chance, nats.
     """
-    there = np.mean([[stack.get(key) for key in keys] for stack in recorded], axis=0)
-    own = maximise(common.put(keys, there), (*keys, *SPREAD), simulated, ITERATIONS, 1.0)
-    if own.nats - _nats(common, simulated) < least_gain:
-        return None
-    here = np.array([own.stack.get(key) for key in keys])
+    there, here = _mean(keys, recorded), np.array([own.get(key) for key in keys])
     both = []
     for step in STEPS:
         values = here + step * (there - here)
         pairs = [*zip((s.put(keys, values) for s in recorded), parts, strict=True)]
-        pairs.append((own.stack.put(keys, values), simulated))
+        pairs.append((own.put(keys, values), simulated))
         both.append([_nats(stack, part) for stack, part in pairs])
     nats = np.array(both)
     best = int(np.argmax(nats.sum(axis=1)))
     separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
     alike = separate - nats[best].sum() < least_gain
-    found = own.stack.put(keys, here + STEPS[best] * (there - here)) if alike else own.stack
+    found = own.put(keys, here + STEPS[best] * (there - here)) if alike else own
     # what stood for the effect so far is no longer needed, and would differ from the recording's
-    others = [(name, p.name) for name in common.effects if CATALOGUE[name].localised for p in _parameters(name)]
+    others = [(name, p.name) for name in own.effects if CATALOGUE[name].localised for p in _parameters(name)]
     return maximise(found, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
+
+
+def _mean(keys: Sequence[Key], stacks: Sequence[Stack]) -> Floats:
+    return np.asarray(np.mean([[stack.get(key) for key in keys] for stack in stacks], axis=0))
 
 
 def _parameters(name: str) -> tuple[Parameter, ...]:

@@ -1,5 +1,8 @@
 """Exchanges, the remedies for the greed of forward selection.
 
+An effect that predicts best may mend what the law lacks of both files. Where they have it alike, another predicts
+better, and that is the difference.
+
 Where the effect that predicts best leaves a difference, and another that predicts nearly as well leaves none, the other
 is the simpler explanation: more effects would follow the first.
 
@@ -10,26 +13,52 @@ that were tried in the place of the first one are looked at, and replace the two
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Protocol
 
 import numpy as np
 
+from noise.discrepancy.name.common import in_simulation, with_compensation, with_effect
 from noise.discrepancy.name.hypothesis import Hypothesis, alike, weights
 from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL, LISTED
+from noise.fitting.batch import Batch
+from noise.fitting.fit import Fit
 from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
+ITERATIONS = 40
+
+Tried = Mapping[str, Hypothesis]
 
 
 class Rounds(Protocol):
     """What a search knows of its rounds, and how it fits; see `noise.discrepancy.name.search.Search`."""
 
     common: Stack
+    parts: tuple[Batch, ...]
+    simulated: Batch | None
+    shared: list[str]
     tried: dict[tuple[str, ...], dict[str, Hypothesis]]
     base: dict[tuple[str, ...], tuple[Stack, Hypothesis]]
     rng: np.random.Generator
+
+    @property
+    def nuisances(self) -> tuple[Key, ...]:
+        """Nuisance parameters that are free on each fold."""
+
+    @property
+    def least_gain(self) -> float:
+        """Gain, nats, that is beyond chance."""
+
+    def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
+        """Return whether a hypothesis may be better than the best on other visits."""
+
+    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
+        """Return the local maximum from a start."""
+
+    def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
+        """Return a fitted hypothesis with its log-likelihood on the other folds."""
 
     def is_left(self, found: Hypothesis, level: float, /) -> bool:
         """Return whether the recording differs from a hypothesis, by the orthogonal test at a level."""
@@ -42,6 +71,44 @@ class Rounds(Protocol):
 
     def crossed(self, start: Stack, current: Hypothesis, effects: Sequence[str], own_scatter: bool) -> Hypothesis:
         """Return a hypothesis fitted on both folds."""
+
+
+def in_both(search: Rounds, tried: Tried, name: str, given: Hypothesis) -> Stack | None:
+    """Return the law of the simulation with the best effect of a round where both files have that; None otherwise.
+
+    They have it where the readings of the simulation show it, or where another effect predicts the recording better
+    beside what these readings have of it, however little that is beyond chance.
+
+    Args:
+        search: its readings and fits.
+        tried: hypotheses of the round, by the effect that was added.
+        name: of the best effect.
+        given: the hypothesis that the round began with.
+    """
+    found, keys, simulated = tried[name], search.keys([name]), search.simulated
+    if simulated is None or name in search.shared:
+        return None
+    law = with_compensation(search.common, keys, found.stacks, simulated)
+    if law is not None:
+        return law
+    own, gain = in_simulation(search.common, keys, found.stacks, simulated)
+    if gain < search.least_gain and (gain <= 0.0 or not _led_by_another(search, tried, name, given, own)):
+        return None
+    return with_effect(own, keys, found.stacks, search.parts, simulated, search.least_gain)
+
+
+def _led_by_another(search: Rounds, tried: Tried, name: str, given: Hypothesis, law: Stack) -> bool:
+    """Return whether another effect, or none, predicts better with the best effect of a round as it is in a law."""
+    found, keys = tried[name], search.keys([name])
+    values = [law.get(key) for key in keys]
+    others = [fit for other, fit in tried.items() if other != name and search.explains(fit, other)]
+    for other in (given, *(fit for fit in others if search.may_lead(fit, found))):
+        free = (*search.keys(other.effects), *search.nuisances)
+        pairs = zip(other.stacks, search.parts, strict=True)
+        stacks = [search.fitted(stack.put(keys, values), free, part, ITERATIONS).stack for stack, part in pairs]
+        if search.scored(other.effects, stacks).value > found.value:
+            return True
+    return False
 
 
 def sufficient(search: Rounds, found: Hypothesis, given: Hypothesis) -> Hypothesis:

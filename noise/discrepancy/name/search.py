@@ -31,8 +31,8 @@ from noise.discrepancy.name.candidates import (
     starts_of,
     with_sampled_bounds,
 )
-from noise.discrepancy.name.common import acts_on_target, scatters_alike, with_compensation, with_effect, with_nuisances
-from noise.discrepancy.name.exchange import exchanged, sufficient
+from noise.discrepancy.name.common import acts_on_target, scatters_alike, with_nuisances
+from noise.discrepancy.name.exchange import exchanged, in_both, sufficient
 from noise.discrepancy.name.first import with_register, with_threshold
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, first_kinds, may_lead, standard_error
@@ -292,7 +292,7 @@ class Search:
             if all(self.explains(each, name) for name, each in more.items()):
                 break
         self.tried[current.effects], self.base[current.effects] = tried, (self.common, current)
-        common = None if winner is None else self.common_value(tried[winner], winner)
+        common = None if winner is None else in_both(self, tried, winner, current)
         if winner is None or common is None:
             return tried.get(winner or "")
         self.common, self.shared = self._familiar(common), [*self.shared, winner]
@@ -326,13 +326,24 @@ class Search:
         return self.fitted(start, (*self.keys([*current.effects, name]), *SPREAD), self.screen, iterations)
 
     def met(self, fit: Fit, current: Hypothesis, name: str) -> Hypothesis:
-        """Return one more effect, cross-fitted from the present scatter, a narrower one, or that of the simulation."""
+        """Return one more effect, cross-fitted from the present scatter, a narrower one, or that of the simulation.
+
+        Where the law of the simulation has changed, it is fitted from what it was before too.
+        """
         effects = (*current.effects, name)
         narrow = any(fit.stack.get(key) < NARROWED * current.stacks[0].get(key) for key in (SPREAD[0], SPREAD[2]))
         found = [self.crossed(fit.stack, current, effects, narrow)]
         for other in self.shared_first(fit.stack, effects, self.screen):
             found.append(self.crossed(other, current, effects, own_scatter=True))
+        before = self.tried.get(current.effects, {}).get(name)
+        if before is not None:
+            free = (*self.keys(effects), *self.nuisances)
+            found.append(self.best([[start] for start in self.on_present_law(before, free)], free, effects))
         return max(found, key=lambda each: each.value)
+
+    def on_present_law(self, found: Hypothesis, free: Sequence[Key]) -> list[Stack]:
+        """Return the present law of the simulation at the free parameters of each fit of a hypothesis."""
+        return [self.common.put(free, [stack.get(key) for key in free]) for stack in found.stacks]
 
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis]) -> str | None:
         """Return the effect of greatest gain beyond chance.
@@ -352,21 +363,13 @@ class Search:
         """Return whether a hypothesis may be better than the best on other visits."""
         return may_lead(best.value - found.value, best.nats - found.nats, self.least_gain)
 
-    def common_value(self, found: Hypothesis, name: str) -> Stack | None:
-        """Return the law of the simulation with an effect that it lacked; None where it has none of it."""
-        if self.simulated is None or name in self.shared:
-            return None
-        keys, simulated = self.keys([name]), self.simulated
-        law = with_compensation(self.common, keys, found.stacks, simulated)
-        return law or with_effect(self.common, keys, found.stacks, self.parts, simulated, self.least_gain)
-
     def rebased(self, current: Hypothesis) -> Hypothesis:
         """Return a hypothesis fitted anew on a changed common law, from its own nuisances and from those of none."""
         none, keys = self.null(), self.keys(current.effects)
         if not current.effects:
             return none
         free = (*keys, *self.nuisances)
-        own = [self.common.put(free, [stack.get(key) for key in free]) for stack in current.stacks]
+        own = self.on_present_law(current, free)
         effects = [[stack.get(key) for key in keys] for stack in current.stacks]
         starts = [[law.put(keys, each), *own] for law, each in zip(none.stacks, effects, strict=True)]
         return self.best(starts, free, current.effects)
