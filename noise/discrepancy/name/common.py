@@ -117,21 +117,13 @@ def in_simulation(
         simulated: readings of the simulation.
     """
     own = maximise(common.put(keys, _mean(keys, recorded)), (*keys, *SPREAD), simulated, ITERATIONS, 1.0)
-    return own.stack, own.nats - _nats(common, simulated)
+    return own.stack, own.nats - maximise(common, SPREAD, simulated, ITERATIONS, 1.0).nats
 
 
-def with_effect(
-    own: Stack,
-    keys: Sequence[Key],
-    recorded: Sequence[Stack],
-    parts: Sequence[Batch],
-    simulated: Batch,
-    least_gain: float,
-) -> Stack:
-    """Return the law of the simulation with an effect that both files have.
-
-    Its value in the simulation is that of the recording too where separate values gain no more than chance; if they do,
-    the difference from it remains to be found.
+def pooled(
+    own: Stack, keys: Sequence[Key], recorded: Sequence[Stack], parts: Sequence[Batch], simulated: Batch
+) -> tuple[Stack, float]:
+    """Return the law of the simulation with an effect as both files have it, and what separate values gain, nats.
 
     Args:
         own: law of the simulation with the effect as its own readings have it.
@@ -139,7 +131,6 @@ def with_effect(
         recorded: stacks with the effect, fitted to each part of the recording.
         parts: of the recording.
         simulated: readings of the simulation.
-        least_gain: gain that is beyond chance, nats.
     """
     there, here = _mean(keys, recorded), np.array([own.get(key) for key in keys])
     both = []
@@ -151,11 +142,16 @@ def with_effect(
     nats = np.array(both)
     best = int(np.argmax(nats.sum(axis=1)))
     separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
-    alike = separate - nats[best].sum() < least_gain
-    found = own.put(keys, here + STEPS[best] * (there - here)) if alike else own
-    # what stood for the effect so far is no longer needed, and would differ from the recording's
-    others = [(name, p.name) for name in own.effects if CATALOGUE[name].localised for p in _parameters(name)]
-    return maximise(found, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
+    return own.put(keys, here + STEPS[best] * (there - here)), float(separate - nats[best].sum())
+
+
+def with_others(law: Stack, keys: Sequence[Key], simulated: Batch) -> Stack:
+    """Return a law of the simulation fitted anew beside an effect that it lacked.
+
+    What stood for the effect so far is no longer needed, and would differ from the recording's.
+    """
+    others = [(name, p.name) for name in law.effects if CATALOGUE[name].localised for p in _parameters(name)]
+    return maximise(law, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
 
 
 def _mean(keys: Sequence[Key], stacks: Sequence[Stack]) -> Floats:

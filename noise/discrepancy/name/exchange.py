@@ -19,11 +19,12 @@ from typing import Protocol
 
 import numpy as np
 
-from noise.discrepancy.name.common import in_simulation, with_compensation, with_effect
+from noise.discrepancy.name.common import in_simulation, pooled, with_compensation, with_others
 from noise.discrepancy.name.hypothesis import Hypothesis, alike, weights
 from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL, LISTED
 from noise.fitting.batch import Batch
 from noise.fitting.fit import Fit
+from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
@@ -73,17 +74,15 @@ class Rounds(Protocol):
         """Return a hypothesis fitted on both folds."""
 
 
-def in_both(search: Rounds, tried: Tried, name: str, given: Hypothesis) -> Stack | None:
+def in_both(search: Rounds, tried: Tried, name: str) -> Stack | None:
     """Return the law of the simulation with the best effect of a round where both files have that; None otherwise.
 
-    They have it where the readings of the simulation show it, or where another effect predicts the recording better
-    beside what these readings have of it, however little that is beyond chance.
+    They have it where the readings of the simulation show it, or where another effect describes both better beside it.
 
     Args:
         search: its readings and fits.
         tried: hypotheses of the round, by the effect that was added.
         name: of the best effect.
-        given: the hypothesis that the round began with.
     """
     found, keys, simulated = tried[name], search.keys([name]), search.simulated
     if simulated is None or name in search.shared:
@@ -92,23 +91,42 @@ def in_both(search: Rounds, tried: Tried, name: str, given: Hypothesis) -> Stack
     if law is not None:
         return law
     own, gain = in_simulation(search.common, keys, found.stacks, simulated)
-    if gain < search.least_gain and (gain <= 0.0 or not _led_by_another(search, tried, name, given, own)):
+    alike, apart = pooled(own, keys, found.stacks, search.parts, simulated)
+    if gain < search.least_gain and not _led_by_another(search, tried, name, alike, own):
         return None
-    return with_effect(own, keys, found.stacks, search.parts, simulated, search.least_gain)
+    return with_others(alike if apart < search.least_gain else own, keys, simulated)
 
 
-def _led_by_another(search: Rounds, tried: Tried, name: str, given: Hypothesis, law: Stack) -> bool:
-    """Return whether another effect, or none, predicts better with the best effect of a round as it is in a law."""
+def _led_by_another(search: Rounds, tried: Tried, name: str, alike: Stack, own: Stack) -> bool:
+    """Return whether another effect describes both files better where these have the best effect of a round alike.
+
+    Beside the other, separate values of the best effect must gain no more than chance: else both differ.
+
+    Args:
+        search: its readings and fits.
+        tried: hypotheses of the round, by the effect that was added.
+        name: of the best effect.
+        alike: law of the simulation with that effect as both files have it.
+        own: the same as the readings of the simulation have it.
+    """
     found, keys = tried[name], search.keys([name])
-    values = [law.get(key) for key in keys]
-    others = [fit for other, fit in tried.items() if other != name and search.explains(fit, other)]
-    for other in (given, *(fit for fit in others if search.may_lead(fit, found))):
-        free = (*search.keys(other.effects), *search.nuisances)
-        pairs = zip(other.stacks, search.parts, strict=True)
-        stacks = [search.fitted(stack.put(keys, values), free, part, ITERATIONS).stack for stack, part in pairs]
-        if search.scored(other.effects, stacks).value > found.value:
-            return True
-    return False
+    assert search.simulated is not None
+    lost = float((log_likelihood(own, search.simulated) - log_likelihood(alike, search.simulated)).sum())
+    values = [alike.get(key) for key in keys]
+    rivals = [fit for other, fit in tried.items() if other != name and search.explains(fit, other)]
+    rivals = [fit for fit in rivals if search.may_lead(fit, found)]
+    beside = [_refitted(search, [each.put(keys, values) for each in fit.stacks], fit.effects) for fit in rivals]
+    best = max(beside, key=lambda each: each.value, default=found)
+    if best.value - lost <= found.value:
+        return False
+    return _refitted(search, best.stacks, (*best.effects, name)).value - (best.value - lost) < search.least_gain
+
+
+def _refitted(search: Rounds, starts: Sequence[Stack], effects: tuple[str, ...]) -> Hypothesis:
+    """Return the hypothesis of some effects fitted to each part from a start."""
+    free = (*search.keys(effects), *search.nuisances)
+    pairs = zip(starts, search.parts, strict=True)
+    return search.scored(effects, [search.fitted(start, free, part, ITERATIONS).stack for start, part in pairs])
 
 
 def sufficient(search: Rounds, found: Hypothesis, given: Hypothesis) -> Hypothesis:

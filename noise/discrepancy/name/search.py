@@ -292,7 +292,7 @@ class Search:
             if all(self.explains(each, name) for name, each in more.items()):
                 break
         self.tried[current.effects], self.base[current.effects] = tried, (self.common, current)
-        common = None if winner is None else in_both(self, tried, winner, current)
+        common = None if winner is None else in_both(self, tried, winner)
         if winner is None or common is None:
             return tried.get(winner or "")
         self.common, self.shared = self._familiar(common), [*self.shared, winner]

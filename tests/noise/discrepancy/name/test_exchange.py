@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from noise.discrepancy.name.exchange import exchanged, promising, sufficient
+from noise.discrepancy.name.common import in_simulation
+from noise.discrepancy.name.exchange import exchanged, in_both, promising, sufficient
 from noise.discrepancy.name.hypothesis import Hypothesis
+from tests.noise.discrepancy.made import batch_of, search_of
 
 VISITS = 40
 NONE = Hypothesis((), ("law",), np.zeros(VISITS))
@@ -78,3 +80,27 @@ def test_pairs_whose_gains_exceed_what_two_effects_gained_are_promising_unless_t
 def test_a_single_effect_is_exchanged_for_no_pair():
     one = gaining("one", 30.0)
     assert exchanged(Rounds([one, gaining("other", 25.0, seed=2)]), one) is one
+
+
+SPIKES = {"spike": {"probability": 0.015}}
+
+
+@pytest.mark.parametrize(
+    ("simulation", "offset_m", "visits", "both"),
+    [
+        (SPIKES, 0.002, 16, True),  # of few readings, so that its spikes are not beyond chance
+        (None, 0.002, 250, False),  # of many readings without a spike
+        (SPIKES, 0.0, 16, False),  # nothing else differs
+    ],
+)
+def test_what_two_files_may_have_alike_is_no_difference_where_another_effect_describes_both_better(
+    simulation, offset_m, visits, both
+):
+    simulated = batch_of(simulation, 9 if simulation is None else 8, visits=visits, pings=6)
+    search = search_of({**SPIKES, "zero_offset": {"offset_m": offset_m}}, simulated=simulated)
+    none = search.null()
+    starts = {"spike": {("spike", "probability"): 0.02}, "zero_offset": {("zero_offset", "offset_m"): 0.002}}
+    tried = {name: search.crossed(none.stacks[0].at(start), none, (name,), False) for name, start in starts.items()}
+    assert tried["spike"].value > tried["zero_offset"].value + search.least_gain
+    assert in_simulation(search.common, search.keys(["spike"]), tried["spike"].stacks, simulated)[1] < search.least_gain
+    assert (in_both(search, tried, "spike") is not None) == both

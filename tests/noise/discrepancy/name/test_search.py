@@ -12,13 +12,16 @@ from noise.discrepancy.name.candidates import (
     resolved_periods,
     sampled_bounds,
     shows,
+    starts_of,
     with_sampled_bounds,
 )
 from noise.discrepancy.name.exchange import exchanged
 from noise.discrepancy.name.folds import Folds, with_simulated_offset
 from noise.discrepancy.name.hypothesis import Hypothesis, standard_error, weights
 from noise.effects import CATALOGUE
-from noise.fitting.stack import JITTER
+from noise.fitting.fit import Fit
+from noise.fitting.stack import JITTER, VISITS
+from noise.fitting.starts import guesses_of
 from tests.noise.discrepancy.made import CHANGES, batch_of, found_of, law_of, search_of
 
 torch.set_num_threads(1)
@@ -268,3 +271,25 @@ def test_an_effect_that_gains_nothing_with_its_own_nuisances_is_not_selected(mon
     assert search.winner(none, {"time_walk": seeming}) is None
     monkeypatch.setattr(search, "polished", lambda found: found)
     assert search.winner(none, {"time_walk": seeming}) == "time_walk"
+
+
+def test_what_an_effect_estimates_from_readings_is_fitted_however_unlikely_it_seems():
+    """Slow noise describes an oscillation as well, until the oscillation is fitted."""
+    batch = batch_of({"thermal_drift": {"sine_k": 5.0, "period_s": 900.0}})
+    slow = law_of().put([(VISITS, "ping_correlation"), (VISITS, "placement_m")], [0.9, 0.02])
+    _, starts = starts_of(slow, [], "thermal_drift", batch.thin(400), batch, np.random.default_rng(1))
+    periods = [start.get(("thermal_drift", "period_s")) for start in starts]
+    for guess in guesses_of(CATALOGUE["thermal_drift"], batch):
+        assert guess["period_s"] in periods
+    assert any(abs(period / 900.0 - 1.0) < 0.1 for period in periods)
+
+
+def test_what_was_fitted_under_the_law_before_is_not_lost():
+    search = search_of(CHANGES["fixed_clutter"])
+    none, key = search.null(), ("fixed_clutter", "range_m")
+    known = none.stacks[0].at({("fixed_clutter", "presence"): 0.3, key: 0.9, ("fixed_clutter", "spread_m"): 0.01})
+    good = search.crossed(known, none, ("fixed_clutter",), own_scatter=False)
+    elsewhere = Fit(known.at({key: 7.0}), (), 0.0)  # from where no small step leads back
+    assert search.met(elsewhere, none, "fixed_clutter").value < good.value - search.least_gain
+    search.tried[none.effects] = {"fixed_clutter": good}
+    assert search.met(elsewhere, none, "fixed_clutter").value > good.value - 1.0
