@@ -252,8 +252,8 @@ def draw_coverage(axes: Axes, records: Sequence[Record]) -> None:
         shares = [c["share"] or 0.0 for r, ids in true for c in r["verdict"]["causes"] if c["effect"] in ids]
         axes.plot(np.full(len(shares), k + 0.15), np.clip(shares, 0, 1), "_", color=BEFORE, alpha=0.6)
     axes.axhline(0.9, color=SOFT, lw=1)
-    for label, colour in (("intervals hold the truth", AFTER), ("shares of true causes", BEFORE)):
-        axes.plot([], [], "o", color=colour, label=label)
+    for marker, label, colour in (("o", "intervals hold the truth", AFTER), ("_", "shares of true causes", BEFORE)):
+        axes.plot([], [], marker, color=colour, label=label)
     axes.set_xticks(range(len(FAMILIES)), FAMILIES, rotation=30)
     axes.set(xlim=(-0.5, len(FAMILIES) - 0.5), ylim=(-0.02, 1.02), title="Coverage and shares")
     axes.legend()
