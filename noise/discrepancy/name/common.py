@@ -14,7 +14,7 @@ from noise.discrepancy.thresholds import SPREAD_TOLERANCE
 from noise.effects import CATALOGUE, Parameter, Stage
 from noise.effects.medium import TEMPERATURE
 from noise.fitting.batch import Batch
-from noise.fitting.fit import maximise
+from noise.fitting.fit import highest, maximise
 from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import NUISANCES, PLACEMENT, SIMULATION_CORRELATION, SPREAD, Key, Stack
 
@@ -116,7 +116,9 @@ def in_simulation(
         recorded: stacks with the effect, fitted to each part of the recording.
         simulated: readings of the simulation.
     """
-    own = maximise(common.put(keys, _mean(keys, recorded)), (*keys, *SPREAD), simulated, ITERATIONS, 1.0)
+    # from where the recording has it, and from where the simulation does: a reflector that has moved may be far away
+    starts = (common.put(keys, _mean(keys, recorded)), common)
+    own = highest(maximise(start, (*keys, *SPREAD), simulated, ITERATIONS, 1.0) for start in starts)
     return own.stack, own.nats - maximise(common, SPREAD, simulated, ITERATIONS, 1.0).nats
 
 
