@@ -7,7 +7,7 @@ import pytest
 
 from acquisition import Ping, Recording
 from noise.discrepancy.locate.trend import UNCOMPENSATED
-from noise.discrepancy.name.common import scatters_alike, with_compensation, with_nuisances
+from noise.discrepancy.name.common import in_simulation, scatters_alike, with_compensation, with_nuisances
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, NUISANCES
 from noise.model import simulate
@@ -68,3 +68,11 @@ def test_sensors_of_one_type_scatter_alike_within_a_fifth(factor, alike):
     wide = law_of().at({(JITTER, "sigma_m"): 0.01})
     recorded = wide.at({(JITTER, "sigma_m"): 0.01 * factor})
     assert scatters_alike([recorded], wide, [batch_of(visits=20)]) is alike
+
+
+def test_a_reflector_that_has_moved_is_where_the_simulation_has_it():
+    parts = [("fixed_clutter", name) for name in ("presence", "range_m", "spread_m")]
+    law, moved = (law_of().put(parts, [0.3, range_m, 0.01]) for range_m in (0.9, 1.2))
+    own, gain = in_simulation(law, parts, [moved, moved], batch_of({"fixed_clutter": law.values["fixed_clutter"]}))
+    assert own.get(("fixed_clutter", "range_m")) == pytest.approx(0.9, abs=0.02)
+    assert gain > -0.01

@@ -8,7 +8,7 @@ import pytest
 from noise.discrepancy.name.common import in_simulation
 from noise.discrepancy.name.exchange import exchanged, in_both, promising, sufficient
 from noise.discrepancy.name.hypothesis import Hypothesis
-from tests.noise.discrepancy.made import batch_of, law_of, search_of
+from tests.noise.discrepancy.made import batch_of, search_of
 
 VISITS = 40
 NONE = Hypothesis((), ("law",), np.zeros(VISITS))
@@ -104,16 +104,3 @@ def test_what_two_files_may_have_alike_is_no_difference_where_another_effect_des
     assert tried["spike"].value > tried["zero_offset"].value + search.least_gain
     assert in_simulation(search.common, search.keys(["spike"]), tried["spike"].stacks, simulated)[1] < search.least_gain
     assert (in_both(search, tried, "spike") is not None) == both
-
-
-def test_a_reflector_that_has_moved_is_not_alike():
-    place, here, there = (
-        ("fixed_clutter", "range_m"),
-        *({"fixed_clutter": {"presence": 0.3, "range_m": range_m, "spread_m": 0.01}} for range_m in (0.9, 1.2)),
-    )
-    common = law_of().at({("fixed_clutter", name): value for name, value in here["fixed_clutter"].items()})
-    search = search_of({**there, "zero_offset": {"offset_m": 0.003}}, simulated=batch_of(here, 8), law=common)
-    none = search.null()
-    starts = {"fixed_clutter": {place: 1.2}, "zero_offset": {("zero_offset", "offset_m"): 0.003}}
-    tried = {name: search.crossed(none.stacks[0].at(start), none, (name,), False) for name, start in starts.items()}
-    assert in_both(search, tried, "fixed_clutter") is None
