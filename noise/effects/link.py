@@ -206,13 +206,12 @@ class CorruptedByte(Effect):
         allowed = (places > 0).to(torch.float64)
         more, less = allowed.chunk(2)
         per_bit = allowed / torch.clamp(more + less, min=1.0).tile(2, *[1] * (more.ndim - 1))
-        share = per_bit / per_bit.sum(dim=0)
+        below = ndtr(-torch.clamp(places, min=0.0) / sigma)  # negative places have weight zero
+        share = per_bit / per_bit.sum(dim=0) / (1.0 - below)
 
         def cdf(edge: Tensor) -> Tensor:
-            edge = edge.unsqueeze(-2)
-            below = ndtr(-torch.clamp(places, min=0.0) / sigma)  # negative places have weight zero
-            inside = (ndtr((edge - places) / sigma) - below) / (1.0 - below)
-            return (share * torch.clamp(inside, 0.0, 1.0)).sum(dim=-2)
+            inside = ndtr((edge.unsqueeze(-2) - places) / sigma) - below
+            return (share * torch.clamp(inside, min=0.0)).sum(dim=-2)
 
         zero = number(0.0)
         return state.with_atom(Atom(self.probability, cdf, zero, zero, of_echo=True))
