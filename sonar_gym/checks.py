@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -29,13 +30,23 @@ def settings_of(cls: type[Settings], given: Any, name: str = "") -> Settings:
     if given is None or isinstance(given, Mapping):
         given = {} if given is None else given
         check_fields(cls, given, name)
-        try:
+        with named(cls, name):
             return cls(**given)
-        except TypeError as error:  # a missing field, or a value of a wrong type
-            raise SettingError(f"{cls.__name__}: {error}") from None
     if not isinstance(given, cls):
         raise _no_settings(cls, given, name)
     return given
+
+
+@contextmanager
+def named(cls: type, name: str) -> Iterator[None]:
+    """Raise errors of the fields of a class, which it names as its own, with the name of an argument."""
+    name = name or cls.__name__
+    try:
+        yield
+    except SettingError as error:
+        raise SettingError(str(error).replace(f"{cls.__name__}.", f"{name}.", 1)) from None
+    except TypeError as error:  # a missing field, or a value of a wrong type
+        raise SettingError(f"{name}: {error}") from None
 
 
 def _no_settings(cls: type, given: Any, name: str) -> SettingError:

@@ -16,7 +16,7 @@ import numpy as np
 from acquisition import SettingError
 from acquisition.arrays import Floats
 from acquisition.limits import Limit, OneOf, Share, as_numbers, check_choice, check_number, check_settings
-from sonar_gym.checks import check_fields
+from sonar_gym.checks import check_fields, named
 from sonar_gym.sensing.kernels import NO_HIT, touches
 from sonar_gym.sensing.scene import Box, Scene, Texture, box_faces
 from sonar_gym.street.obstacles import OBSTACLES, check_mappings, draw_obstacles
@@ -173,7 +173,8 @@ def replaced(settings: StreetSettings, given: Any, name: str = "street") -> Stre
         return given
     given = {} if given is None else given
     check_fields(StreetSettings, given, name)
-    return replace(settings, **given)
+    with named(StreetSettings, name):
+        return replace(settings, **given)
 
 
 def check_gap(gap: float, car: CarSettings) -> None:

@@ -95,7 +95,7 @@ def test_drawn_obstacles_leave_the_path_of_the_car_free_at_all_times(kind):
 
 
 def test_an_unknown_kind_is_named():
-    with pytest.raises(SettingError, match=r"StreetSettings.obstacles: expected one of pole, hedge"):
+    with pytest.raises(SettingError, match=r"street.obstacles: expected one of pole, hedge"):
         SonarParkingEnv(street={"obstacles": ["cloud"]})
 
 
