@@ -24,6 +24,8 @@ NARROWER = 0.7  # ratio of two scatters from which fits begin with both
 DESIGN = 8  # quasi-random starting points of an effect, a power of two
 WIDTH = "spread_m"  # of the echoes of another reflector
 
+Starts = tuple[float, list[Stack]]  # log-likelihood of the best start of an effect, and its starts, the best first
+
 
 def shows(effect: type[Effect], batch: Batch) -> bool:
     """Return whether the sampling of a recording shows an effect at all."""
@@ -85,9 +87,17 @@ def keys_of(base: Stack, name: str, batch: Batch) -> tuple[Key, ...]:
     return tuple((name, p.name) for p in every if p.low < p.high and p.identifiable(batch.ping.covariates))
 
 
+def starts_of_each(
+    names: Sequence[str], stack: Stack, common: Stack, grid: Batch, whole: Batch, rng: np.random.Generator
+) -> dict[str, Starts]:
+    """Return the starts of each of some effects; see `starts_of` and `scatters_of`."""
+    scatters = scatters_of(stack, common, whole)
+    return {name: starts_of(stack, scatters, name, grid, whole, rng) for name in names}
+
+
 def starts_of(
     stack: Stack, scatters: Sequence[Stack], name: str, grid: Batch, whole: Batch, rng: np.random.Generator
-) -> tuple[float, list[Stack]]:
+) -> Starts:
     """Return the log-likelihood of the best start of an effect, and starts that are worth a fit, the best first.
 
     These are the best with each scatter, since what a law without the effect gets wrong stretches its scatter and no
@@ -124,7 +134,7 @@ def scatters_of(stack: Stack, common: Stack, batch: Batch) -> list[Stack]:
     return [each for each in others if any(each.get(key) < NARROWER * stack.get(key) for key in SPREAD)]
 
 
-def gains_of(points: Mapping[str, tuple[float, list[Stack]]], stack: Stack, screen: Batch) -> dict[str, Floats]:
+def gains_of(points: Mapping[str, Starts], stack: Stack, screen: Batch) -> dict[str, Floats]:
     """Return what the best starts of effects gain on each visit over a stack, nats, the greatest gain first.
 
     Args:

@@ -11,7 +11,7 @@ value there is a difference.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
@@ -20,6 +20,7 @@ import numpy as np
 from acquisition.arrays import Floats
 from noise.discrepancy.baseline.forest import MAX_PINGS
 from noise.discrepancy.name.candidates import (
+    Starts,
     as_in,
     candidate_names,
     explains_nothing,
@@ -27,8 +28,7 @@ from noise.discrepancy.name.candidates import (
     keys_of,
     leading,
     log_prior,
-    scatters_of,
-    starts_of,
+    starts_of_each,
     with_sampled_bounds,
 )
 from noise.discrepancy.name.common import acts_on_target, scatters_alike, with_nuisances
@@ -284,9 +284,12 @@ class Search:
         Effects that explain nothing, however much they gain, do not keep others from being tried.
         """
         tried: dict[str, Hypothesis] = {}
-        winner = None
+        names = [name for name in self.names if name not in current.effects]
+        points = starts_of_each(names, current.stacks[0], self.common, self.screen, self.parts[0], self.rng)
+        fits, winner = dict[str, Fit](), None
         while winner is None:
-            more = {name: self.met(fit, current, name) for name, fit in self.screened(current, tried).items()}
+            left = {name: each for name, each in points.items() if name not in tried}
+            more = {name: self.met(fit, current, name) for name, fit in self.screened(current, left, fits).items()}
             tried |= more
             winner = self.winner(current, tried)
             if all(self.explains(each, name) for name, each in more.items()):
@@ -302,23 +305,21 @@ class Search:
         """Return whether an effect of a hypothesis explains readings, by `explains_nothing`."""
         return not any(explains_nothing(stack, self.common, name, self.folds.both) for stack in found.stacks)
 
-    def screened(self, current: Hypothesis, tried: Container[str]) -> dict[str, Fit]:
-        """Return the most promising candidates but those tried, each fitted to a part of the first fold, best first."""
-        stack, points = current.stacks[0], {}
-        scatters = scatters_of(stack, self.common, self.parts[0])
-        for name in self.names:
-            if name not in current.effects and name not in tried:
-                points[name] = starts_of(stack, scatters, name, self.screen, self.parts[0], self.rng)
-        order = first_kinds(gains_of(points, stack, self.screen), N_SCREENED)
+    def screened(self, current: Hypothesis, points: Mapping[str, Starts], fits: dict[str, Fit]) -> dict[str, Fit]:
+        """Return the most promising candidates, each fitted to a part of the first fold, best first.
+
+        Those that were fitted before are known from `fits`, which is updated in place.
+        """
+        stack = current.stacks[0]
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
-        fits, share = {}, len(self.screen) / self.pings.sum()
-        for name in order:
-            fit = highest(self._refined(start, current, name, SHORT) for start in points[name][1])
+        value, share = {}, len(self.screen) / self.pings.sum()
+        for name in first_kinds(gains_of(points, stack, self.screen), N_SCREENED):
+            if name not in fits:
+                fits[name] = highest(self._refined(start, current, name, SHORT) for start in points[name][1])
             # a gain within the screen that is too small even for all visits cannot be one on unseen visits
-            if (fit.nats - here) / share > self.worthwhile(current):
-                fits[name] = fit
-        value = {name: fit.nats + fit.stack.log_size_prior(self.common, [name]) for name, fit in fits.items()}
-        near = leading(sorted(fits, key=value.__getitem__, reverse=True), fits, self.screen, self.least_gain)
+            if (fits[name].nats - here) / share > self.worthwhile(current):
+                value[name] = fits[name].nats + fits[name].stack.log_size_prior(self.common, [name])
+        near = leading(sorted(value, key=value.__getitem__, reverse=True), fits, self.screen, self.least_gain)
         return {name: self._refined(fits[name].stack, current, name, LONG) for name in near}
 
     def _refined(self, start: Stack, current: Hypothesis, name: str, iterations: int) -> Fit:
