@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -122,10 +122,25 @@ def in_simulation(
     return own.stack, own.nats - maximise(common, SPREAD, simulated, ITERATIONS, 1.0).nats
 
 
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """The law of the simulation with an effect as both files have it.
+
+    Attributes:
+        law: the law.
+        apart: what separate values gain in both files, nats.
+        lost: what the readings of the simulation alone lose, nats.
+    """
+
+    law: Stack
+    apart: float
+    lost: float
+
+
 def pooled(
     own: Stack, keys: Sequence[Key], recorded: Sequence[Stack], parts: Sequence[Batch], simulated: Batch
-) -> tuple[Stack, float]:
-    """Return the law of the simulation with an effect as both files have it, and what separate values gain, nats.
+) -> Pooled:
+    """Return the law of the simulation with an effect as both files have it.
 
     Args:
         own: law of the simulation with the effect as its own readings have it.
@@ -144,7 +159,8 @@ def pooled(
     nats = np.array(both)
     best = int(np.argmax(nats.sum(axis=1)))
     separate = nats[:, :-1].sum(axis=1).max() + nats[:, -1].max()
-    return own.put(keys, here + STEPS[best] * (there - here)), float(separate - nats[best].sum())
+    law = own.put(keys, here + STEPS[best] * (there - here))
+    return Pooled(law, float(separate - nats[best].sum()), float(nats[0, -1] - nats[best, -1]))
 
 
 def with_others(law: Stack, keys: Sequence[Key], simulated: Batch) -> Stack:
@@ -152,8 +168,10 @@ def with_others(law: Stack, keys: Sequence[Key], simulated: Batch) -> Stack:
 
     What stood for the effect so far is no longer needed, and would differ from the recording's.
     """
-    others = [(name, p.name) for name in law.effects if CATALOGUE[name].localised for p in _parameters(name)]
-    return maximise(law, (*(key for key in others if key not in keys), *NUISANCES), simulated, ITERATIONS).stack
+    joined = {key[0] for key in keys}
+    others = [name for name in law.effects if CATALOGUE[name].localised and name not in joined]
+    free = ((name, p.name) for name in others for p in _parameters(name))
+    return maximise(law, (*free, *NUISANCES), simulated, ITERATIONS).stack
 
 
 def _mean(keys: Sequence[Key], stacks: Sequence[Stack]) -> Floats:

@@ -19,16 +19,13 @@ from typing import Protocol
 
 import numpy as np
 
-from noise.discrepancy.name.common import in_simulation, pooled, with_compensation, with_others
+from noise.discrepancy.name.common import Pooled, in_simulation, pooled, with_compensation, with_others
 from noise.discrepancy.name.hypothesis import Hypothesis, alike, weights
 from noise.discrepancy.thresholds import FALSE_ALARM, LEFT_LEVEL, LISTED
 from noise.fitting.batch import Batch
-from noise.fitting.fit import Fit
-from noise.fitting.likelihood import log_likelihood
 from noise.fitting.stack import Key, Stack
 
 N_PAIRS = 3  # that are fitted
-ITERATIONS = 40
 
 Tried = Mapping[str, Hypothesis]
 
@@ -45,21 +42,14 @@ class Rounds(Protocol):
     rng: np.random.Generator
 
     @property
-    def nuisances(self) -> tuple[Key, ...]:
-        """Nuisance parameters that are free on each fold."""
-
-    @property
     def least_gain(self) -> float:
         """Gain, nats, that is beyond chance."""
 
     def may_lead(self, found: Hypothesis, best: Hypothesis) -> bool:
         """Return whether a hypothesis may be better than the best on other visits."""
 
-    def fitted(self, start: Stack, free: Sequence[Key], batch: Batch, iterations: int) -> Fit:
-        """Return the local maximum from a start."""
-
-    def scored(self, effects: Sequence[str], stacks: Sequence[Stack]) -> Hypothesis:
-        """Return a fitted hypothesis with its log-likelihood on the other folds."""
+    def refitted(self, starts: Sequence[Stack], effects: Sequence[str]) -> Hypothesis:
+        """Return the hypothesis of some effects with all nuisances free, fitted to each part from a start."""
 
     def is_left(self, found: Hypothesis, level: float, /) -> bool:
         """Return whether the recording differs from a hypothesis, by the orthogonal test at a level."""
@@ -91,13 +81,13 @@ def in_both(search: Rounds, tried: Tried, name: str) -> Stack | None:
     if law is not None:
         return law
     own, gain = in_simulation(search.common, keys, found.stacks, simulated)
-    alike, apart = pooled(own, keys, found.stacks, search.parts, simulated)
-    if gain < search.least_gain and not _led_by_another(search, tried, name, alike, own):
+    both = pooled(own, keys, found.stacks, search.parts, simulated)
+    if gain < search.least_gain and not _led_by_another(search, tried, name, both):
         return None
-    return with_others(alike if apart < search.least_gain else own, keys, simulated)
+    return with_others(both.law if both.apart < search.least_gain else own, keys, simulated)
 
 
-def _led_by_another(search: Rounds, tried: Tried, name: str, alike: Stack, own: Stack) -> bool:
+def _led_by_another(search: Rounds, tried: Tried, name: str, both: Pooled) -> bool:
     """Return whether another effect describes both files better where these have the best effect of a round alike.
 
     Beside the other, separate values of the best effect must gain no more than chance: else both differ.
@@ -106,27 +96,17 @@ def _led_by_another(search: Rounds, tried: Tried, name: str, alike: Stack, own: 
         search: its readings and fits.
         tried: hypotheses of the round, by the effect that was added.
         name: of the best effect.
-        alike: law of the simulation with that effect as both files have it.
-        own: the same as the readings of the simulation have it.
+        both: the law of the simulation with that effect as both files have it.
     """
     found, keys = tried[name], search.keys([name])
-    assert search.simulated is not None
-    lost = float((log_likelihood(own, search.simulated) - log_likelihood(alike, search.simulated)).sum())
-    values = [alike.get(key) for key in keys]
+    values = [both.law.get(key) for key in keys]
     rivals = [fit for other, fit in tried.items() if other != name and search.explains(fit, other)]
     rivals = [fit for fit in rivals if search.may_lead(fit, found)]
-    beside = [_refitted(search, [each.put(keys, values) for each in fit.stacks], fit.effects) for fit in rivals]
+    beside = [search.refitted([each.put(keys, values) for each in fit.stacks], fit.effects) for fit in rivals]
     best = max(beside, key=lambda each: each.value, default=found)
-    if best.value - lost <= found.value:
+    if best.value - both.lost <= found.value:
         return False
-    return _refitted(search, best.stacks, (*best.effects, name)).value - (best.value - lost) < search.least_gain
-
-
-def _refitted(search: Rounds, starts: Sequence[Stack], effects: tuple[str, ...]) -> Hypothesis:
-    """Return the hypothesis of some effects fitted to each part from a start."""
-    free = (*search.keys(effects), *search.nuisances)
-    pairs = zip(starts, search.parts, strict=True)
-    return search.scored(effects, [search.fitted(start, free, part, ITERATIONS).stack for start, part in pairs])
+    return search.refitted(best.stacks, (*best.effects, name)).value - (best.value - both.lost) < search.least_gain
 
 
 def sufficient(search: Rounds, found: Hypothesis, given: Hypothesis) -> Hypothesis:

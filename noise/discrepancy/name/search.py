@@ -306,10 +306,7 @@ class Search:
         return not any(explains_nothing(stack, self.common, name, self.folds.both) for stack in found.stacks)
 
     def screened(self, current: Hypothesis, points: Mapping[str, Starts], fits: dict[str, Fit]) -> dict[str, Fit]:
-        """Return the most promising candidates, each fitted to a part of the first fold, best first.
-
-        Those that were fitted before are known from `fits`, which is updated in place.
-        """
+        """Return the most promising candidates, fitted to the screen, best first; `fits` holds known and new fits."""
         stack = current.stacks[0]
         here = self.fitted(stack, (*self.keys(current.effects), *SPREAD), self.screen, 15).nats
         value, share = {}, len(self.screen) / self.pings.sum()
@@ -338,12 +335,17 @@ class Search:
             found.append(self.crossed(other, current, effects, own_scatter=True))
         before = self.tried.get(current.effects, {}).get(name)
         if before is not None:
-            free = (*self.keys(effects), *self.nuisances)
-            found.append(self.best([[start] for start in self.on_present_law(before, free)], free, effects))
+            found.append(self.refitted(self.on_present_law(before), effects))
         return max(found, key=lambda each: each.value)
 
-    def on_present_law(self, found: Hypothesis, free: Sequence[Key]) -> list[Stack]:
+    def refitted(self, starts: Sequence[Stack], effects: Sequence[str]) -> Hypothesis:
+        """Return the hypothesis of some effects with all nuisances free, fitted to each part from a start."""
+        free, pairs = (*self.keys(effects), *self.nuisances), zip(starts, self.parts, strict=True)
+        return self.scored(effects, [self.fitted(start, free, part, 40).stack for start, part in pairs])
+
+    def on_present_law(self, found: Hypothesis) -> list[Stack]:
         """Return the present law of the simulation at the free parameters of each fit of a hypothesis."""
+        free = (*self.keys(found.effects), *self.nuisances)
         return [self.common.put(free, [stack.get(key) for key in free]) for stack in found.stacks]
 
     def winner(self, current: Hypothesis, tried: dict[str, Hypothesis]) -> str | None:
@@ -370,7 +372,7 @@ class Search:
         if not current.effects:
             return none
         free = (*keys, *self.nuisances)
-        own = self.on_present_law(current, free)
+        own = self.on_present_law(current)
         effects = [[stack.get(key) for key in keys] for stack in current.stacks]
         starts = [[law.put(keys, each), *own] for law, each in zip(none.stacks, effects, strict=True)]
         return self.best(starts, free, current.effects)
@@ -393,7 +395,5 @@ class Search:
         others = tuple(each for each in current.effects if each != name)
         if name == JITTER:
             return self.held_scatter(replace(current, effects=others) if others else self.null())
-        reset = [as_in(stack, self.common, name) for stack in current.stacks]
-        free, pairs = (*self.keys(others), *self.nuisances), zip(reset, self.parts, strict=True)
-        found = self.scored(others, [self.fitted(stack, free, part, 40).stack for stack, part in pairs])
+        found = self.refitted([as_in(stack, self.common, name) for stack in current.stacks], others)
         return found if others else max(self.null(), found, key=lambda each: each.value)
