@@ -63,6 +63,12 @@ COMMANDS = {  # of each extra, run in the order given
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
 
+@pytest.fixture(autouse=True)
+def alone(monkeypatch):
+    """A path of the caller would hide what a fresh environment lacks."""
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     out = tmp_path_factory.mktemp("dist")
