@@ -40,7 +40,7 @@ test: $(STAMP) check  ## lint, types, import contracts, and every test that is n
 docs: $(STAMP)  ## the site in site/; a broken link or any other warning is an error
 	NO_MKDOCS_2_WARNING=1 SONAR_GYM_URL=$(URL) $(BIN)/mkdocs build --quiet
 
-figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of experiments from their records (half an hour; hours where a record is missing)
+figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of experiments from their records (ten minutes; hours where a record is missing)
 	$(BIN)/sonar-gym effects --out docs/reference/effects
 	$(BIN)/sonar-gym demo --out demo && cp demo/parking.gif docs/images/parking.gif
 	$(BIN)/python examples/record_gif.py docs/images/parking.png srf08-mlp
@@ -59,7 +59,7 @@ figures: $(STAMP) $(RECORDS)  ## make all pictures of the docs again, those of e
 	cp runs/figures/vertical/credence-polar.png docs/images/vertical.png
 	for book in docs/tutorials/*.ipynb; do folder=$$(mktemp -d) && cp $$book $$folder \
 		&& PATH=$(CURDIR)/$(BIN):$$PATH env -u MPLBACKEND TTY_COMPATIBLE=0 $(BIN)/jupyter nbconvert --to notebook --execute --inplace \
-		--ExecutePreprocessor.coalesce_streams=True --ExecutePreprocessor.record_timing=False $$folder/*.ipynb \
+		--CoalesceStreamsPreprocessor.enabled=True --ExecutePreprocessor.record_timing=False $$folder/*.ipynb \
 		&& cp $$folder/*.ipynb docs/tutorials || exit 1; done
 
 # records of experiments: those that are missing are measured, which takes minutes to hours
