@@ -13,7 +13,7 @@ from acquisition import EchoStatus
 from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage, modes, most_frequent
 from noise.effects.medium import ASSUMED_SPEED
-from noise.effects.state import State, heard_level_db, new_path, wall_level_db
+from noise.effects.state import State, heard_level_db, new_path
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
@@ -55,10 +55,7 @@ class PreviousPing(Effect):
         length = self.far_m + self.trips * self._distance_before(state)
         early, possible = self._since_last(state)
         possible = possible & (early < length)
-        # the level of a second trip is known, that of other reflectors is not
-        repeated = torch.clamp(self.trips - 1.0, min=0.0, max=1.0)
-        level_db = heard_level_db(length) + repeated * (wall_level_db(length) - heard_level_db(length))
-        path = new_path("previous", length, level_db, self.presence * possible.to(torch.float64))
+        path = new_path("previous", length, heard_level_db(length), self.presence * possible.to(torch.float64))
         return state.with_path(replace(path, lag=-early))
 
     def _distance_before(self, state: State) -> Tensor:

@@ -9,6 +9,7 @@ from scipy import stats
 
 from acquisition import EchoStatus, Ping, Reading, SettingError
 from noise.effects import CATALOGUE, Conditions
+from noise.effects.medium import ASSUMED_SPEED
 from noise.physical import PhysicalModel
 
 torch.set_num_threads(1)
@@ -250,3 +251,15 @@ def test_a_parameter_is_identifiable_if_its_covariate_is_logged_and_varies():
     assert share.identifiable({"temperature_c": np.array([18.0, 22.0])})
     assert not share.identifiable({"temperature_c": np.array([18.0, 18.5])})
     assert not share.identifiable({})
+
+
+@pytest.mark.parametrize("trips", [0.0, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("loss_db", [0.0, 50.0])
+def test_a_previous_ping_is_heard_as_often_as_it_is_present(trips, loss_db):
+    """However far a simulation's own echoes lie above the threshold: that says nothing of another path."""
+    interval_s, distance = 0.06, 2.4
+    far_m = ASSUMED_SPEED * interval_s / 2.0 + 0.5 - trips * distance
+    effects = [CATALOGUE["previous_ping"](presence=0.4, far_m=far_m, trips=trips)]
+    effects.append(CATALOGUE["sensitivity"](loss_db=loss_db))
+    law = PhysicalModel(effects).law(Ping.of(distance=distance, interval_s=interval_s))
+    assert law.cdf(0.52)[0] == pytest.approx(0.4, abs=1e-3)
