@@ -18,6 +18,7 @@ from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
 RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
+FARTHEST_M = 25.0  # half the path of the latest echo: 11.2 m within 65 ms, and what is read; chosen here
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 # offset, scale and walk of a sonar move readings by some centimetres, while single pings scatter by some millimetres
 OWN_ERRORS_M = (0.0, -0.01, 0.01, -0.02, 0.02, -0.03, 0.03)
@@ -40,7 +41,7 @@ class PreviousPing(Effect):
     parameters = (
         presence(0.3),
         Parameter(
-            "far_m", "m", 0.0, 0.0, 25.0, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
+            "far_m", "m", 0.0, 0.0, FARTHEST_M, "c interval / 2 = 11.2 m at 65 ms, plus what is read", (9.0, 12.0, 15.0)
         ),
         Parameter("trips", "1", 0.0, 0.0, 3.0, "to the target; chosen here", (0.0,)),
         Parameter("wait_m", "m", 0.0, 0.0, 3.5, "bursts with waits of 2 to 20 ms as range; chosen here", (0.0,)),
@@ -72,7 +73,9 @@ class PreviousPing(Effect):
             interval = torch.full_like(c.distance, DEFAULT_INTERVAL_S)
         waits, gap = self.wait_m > 0.0, ASSUMED_SPEED * interval / 2.0
         since = torch.where(waits, c.past_range + self.wait_m, gap)
-        return since, torch.where(waits, c.past_status == EchoStatus.ECHO, interval > 0)
+        # the first ping of a burst has none: what is farther away than this is not heard
+        fast = (c.past_status == EchoStatus.ECHO) & (gap < FARTHEST_M)
+        return since, torch.where(waits, fast, interval > 0)
 
     @classmethod
     def guesses(cls, echoes: EchoSample) -> list[dict[str, float]]:

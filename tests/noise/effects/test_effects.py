@@ -263,3 +263,10 @@ def test_a_previous_ping_is_heard_as_often_as_it_is_present(trips, loss_db):
     effects.append(CATALOGUE["sensitivity"](loss_db=loss_db))
     law = PhysicalModel(effects).law(Ping.of(distance=distance, interval_s=interval_s))
     assert law.cdf(0.52)[0] == pytest.approx(0.4, abs=1e-3)
+
+
+def test_the_first_ping_of_a_burst_hears_no_previous_one():
+    effect = CATALOGUE["previous_ping"](presence=1.0, trips=2.0, wait_m=0.3)
+    ping = Ping.of(distance=2.0, interval_s=[0.014, 3.0])
+    law = PhysicalModel([effect]).law(ping, Reading.of([2.0, 2.0]))
+    np.testing.assert_allclose(law.quantile(0.5), [1.7, 2.0], atol=1e-3)
