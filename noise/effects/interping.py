@@ -13,11 +13,10 @@ from acquisition import EchoStatus
 from acquisition.arrays import Floats
 from noise.effects.base import EchoSample, Effect, Parameter, Stage, modes, most_frequent
 from noise.effects.medium import ASSUMED_SPEED
-from noise.effects.state import State, heard_level_db, new_path
+from noise.effects.state import LAG_STEP_S, LAGS_S, RANGE_RATE, State, heard_level_db, new_path
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping
-RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
 FARTHEST_M = 25.0  # half the path of the latest echo: 11.2 m within 65 ms, and what is read; chosen here
 DEFAULT_INTERVAL_S = 0.065  # where no times are logged; recommended by Devantech
 # offset, scale and walk of a sonar move readings by some centimetres, while single pings scatter by some millimetres
@@ -103,9 +102,11 @@ class PreviousPing(Effect):
 
 
 class Latency(Effect):
-    """The reading is older than its logged pose: distance -> distance - delay * range rate.
+    """The reading is older than its logged pose: it belongs to the pose a delay ago.
 
-    The range rate, m/s, is the change of the logged distance with time within a run; without it there is no effect.
+    That pose is interpolated in the log of the run. Where the log does not tell it, or the reading is newer than its
+    pose, distance -> distance - delay * range rate; the range rate, m/s, is the change of the logged distance with time
+    within a run. Without it there is no effect.
     """
 
     name = "latency"
@@ -134,8 +135,15 @@ class Latency(Effect):
         rate = state.conditions.covariates.get(RANGE_RATE)
         if rate is None:
             return state
-        moved = torch.clamp(state.conditions.distance - self.delay_s * rate, min=0.0)
-        return state.facing(replace(state.conditions, distance=moved))
+        c, moved = state.conditions, -self.delay_s * rate
+        if c.earlier is None:
+            return state.facing(replace(c, distance=torch.clamp(c.distance + moved, min=0.0)))
+        weight = torch.clamp(1.0 - torch.abs(self.delay_s - torch.from_numpy(LAGS_S)) / LAG_STEP_S, min=0.0)
+        back = (weight[:, None] * c.earlier).sum(dim=1) - c.earlier[:, 0]
+        late = self.delay_s > 0.0
+        distance = torch.clamp(c.distance + torch.where(late, back[0], moved), min=0.0)
+        turned = [value + torch.where(late, each, 0.0) for value, each in ((c.angle, back[1]), (c.incidence, back[2]))]
+        return state.facing(replace(c, distance=distance, angle=turned[0], incidence=turned[1]))
 
     def statement(self) -> str:
         """Return a sentence with the delay and the error at 0.5 m/s."""

@@ -11,20 +11,30 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from acquisition import EchoStatus, Ping, Reading
+from acquisition.arrays import Floats
 from acquisition.ping import check_pairs
 
 MARGIN_DB = 60.0  # level of a flat wall at 1 m above the threshold of an ideal sonar: no misses; chosen here
 DETECTION_WIDTH_DB = 1.5  # spread of the level at the threshold: log-normal level noise, sigma 1.5 dB
 MIN_SPREAD_M = 1e-6  # smallest standard deviation of an arrival, m: far below any register step
+RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
+LAG_STEP_S = 0.05
+LAGS_S: Floats = LAG_STEP_S * np.arange(21.0)  # up to 1 s, the longest delay
+MAX_GAP_S = 0.5  # between pings of a log; over a longer one it does not tell where the sensor was; chosen here
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """A batch of pings as tensors, (n,) each; see `acquisition.Ping` for the meanings."""
+    """A batch of pings as tensors, (n,) each; see `acquisition.Ping` for the meanings.
+
+    Attributes:
+        earlier: distance, angle and incidence some times before each ping, (3, lags, n); see `earlier`.
+    """
 
     distance: Tensor
     angle: Tensor
@@ -35,12 +45,13 @@ class Conditions:
     past_range: Tensor
     past_status: Tensor
     covariates: Mapping[str, Tensor] = field(default_factory=dict)
+    earlier: Tensor | None = None
 
     @classmethod
     def of(cls, ping: Ping, past: Reading | None = None) -> Conditions:
         """Convert arrays; without `past` the previous readings are unknown."""
         check_pairs("past", ping, past)
-        n = len(ping)
+        n, before = len(ping), earlier(ping)
         tensor = torch.tensor  # copies, since arrays from a table may be read-only
         return cls(
             distance=tensor(ping.distance),
@@ -52,7 +63,39 @@ class Conditions:
             past_range=torch.zeros(n, dtype=torch.float64) if past is None else tensor(past.range),
             past_status=torch.full((n,), int(EchoStatus.NO_ANSWER)) if past is None else tensor(past.status).long(),
             covariates={name: tensor(value) for name, value in ping.covariates.items()},
+            earlier=None if before is None else tensor(before),
         )
+
+
+def earlier(ping: Ping) -> Floats | None:
+    """Return distance, m, angle and incidence, rad, a time of `LAGS_S` before each ping, (3, lags, n).
+
+    They are interpolated in the log of the run. Before its beginning and within long gaps, the distance follows from
+    its rate, and the angles are those of the ping itself. None where no rate is known, or the pings of a run are not in
+    the order of time.
+    """
+    rate = ping.covariates.get(RANGE_RATE)
+    if rate is None or not _is_log(ping):
+        return None
+    now = np.stack([ping.distance, ping.angle, ping.incidence])
+    out = np.repeat(now[:, None], len(LAGS_S), axis=1)
+    out[0] = np.maximum(out[0] - LAGS_S[:, None] * rate, 0.0)
+    for run in np.unique(ping.run):
+        rows = np.flatnonzero(ping.run == run)
+        time, then = ping.time[rows], ping.time[rows] - LAGS_S[:, None]
+        after = np.clip(np.searchsorted(time, then), 1, len(rows) - 1)
+        known = (then >= time[0]) & (time[after] - time[after - 1] <= MAX_GAP_S)
+        for column, values in enumerate(now):
+            inside = np.interp(then, time, values[rows])
+            out[column][:, rows] = np.where(known, inside, out[column][:, rows])
+    return out
+
+
+def _is_log(ping: Ping) -> bool:
+    """Return whether times ascend from ping to ping in each run, which lies in one piece."""
+    same = ping.run[1:] == ping.run[:-1]
+    pieces = 1 + int((~same).sum())
+    return len(ping) > 1 and pieces == len(np.unique(ping.run)) and bool((np.diff(ping.time)[same] > 0).all())
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from scipy.stats import qmc
 from acquisition.arrays import Floats
 from noise.effects import EchoSample, Effect, Parameter, Stage
 from noise.effects.base import modes
-from noise.effects.interping import INTERVAL, RANGE_RATE
+from noise.effects.interping import INTERVAL
+from noise.effects.state import RANGE_RATE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std

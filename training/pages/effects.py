@@ -12,7 +12,7 @@ from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
 from noise import PhysicalModel, simulate
 from noise.effects import CATALOGUE, Effect, Parameter, Stage
-from noise.effects.interping import RANGE_RATE
+from noise.effects.state import RANGE_RATE
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.progress import bar

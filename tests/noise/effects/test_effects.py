@@ -270,3 +270,50 @@ def test_the_first_ping_of_a_burst_hears_no_previous_one():
     ping = Ping.of(distance=2.0, interval_s=[0.014, 3.0])
     law = PhysicalModel([effect]).law(ping, Reading.of([2.0, 2.0]))
     np.testing.assert_allclose(law.quantile(0.5), [1.7, 2.0], atol=1e-3)
+
+
+def drive(n=80, gap_s=0.0):
+    """Return a log with a kink in the distance, and the same distance and incidence as functions of time, s."""
+    time = 0.07 * np.arange(n) + np.where(np.arange(n) >= n // 2, gap_s, 0.0)
+    distance, incidence = (lambda t: 6.0 - 0.4 * np.abs(t - 2.0)), (lambda t: 0.1 * np.sin(t))
+    rate = np.gradient(distance(time), time)
+    ping = Ping.of(distance=distance(time), incidence=incidence(time), time=time, range_rate_mps=rate)
+    return ping, distance, incidence
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.12, 0.31, 0.9])
+def test_a_late_reading_is_that_of_an_earlier_pose(delay_s):
+    ping, distance, incidence = drive()
+    late = PhysicalModel([CATALOGUE["latency"](delay_s=delay_s)]).state(Conditions.of(ping)).conditions
+    then = ping.time - delay_s
+    known, unknown = then > 0.05, then < -0.05  # a lag step beside the beginning of the log is neither
+    # the log is linear between pings, and so is its interpolation between the lags
+    np.testing.assert_allclose(late.distance.numpy()[known], distance(then)[known], atol=0.02)
+    np.testing.assert_allclose(np.median(np.abs(late.distance.numpy() - distance(then))), 0.0, atol=1e-6)
+    np.testing.assert_allclose(late.incidence.numpy()[known], incidence(then)[known], atol=2e-3)
+    rate = ping.covariates["range_rate_mps"]
+    np.testing.assert_allclose(late.distance.numpy()[unknown], (ping.distance - delay_s * rate)[unknown])
+
+
+def test_what_a_log_does_not_tell_follows_from_the_rate():
+    ping, *_ = drive(gap_s=5.0)
+    rows = np.random.default_rng(0).permutation(len(ping))
+    effect = CATALOGUE["latency"](delay_s=0.3)
+    rate = ping.covariates["range_rate_mps"]
+    after = slice(len(ping) // 2, len(ping) // 2 + 3)
+    for each, some in ((ping, after), (ping[rows], slice(None))):  # after a gap; and not in the order of time
+        late = PhysicalModel([effect]).state(Conditions.of(each)).conditions.distance.numpy()
+        linear = np.maximum(each.distance - 0.3 * each.covariates["range_rate_mps"], 0.0)
+        np.testing.assert_allclose(late[some], linear[some])
+    early = PhysicalModel([CATALOGUE["latency"](delay_s=-0.2)]).state(Conditions.of(ping)).conditions
+    np.testing.assert_allclose(early.distance.numpy(), np.maximum(ping.distance + 0.2 * rate, 0.0))
+
+
+def test_a_delay_has_a_gradient():
+    ping, *_ = drive()
+    delay = torch.tensor(0.32, dtype=torch.float64, requires_grad=True)
+    distance = (
+        PhysicalModel([CATALOGUE["latency"].unchecked({"delay_s": delay})]).state(Conditions.of(ping)).direct.length
+    )
+    (slope,) = torch.autograd.grad(distance[40], delay)
+    assert float(slope) == pytest.approx(-0.4 * np.sign(2.0 - (ping.time[40] - 0.32)), abs=1e-6)
