@@ -115,7 +115,7 @@ EXAMPLES = {
     "range_gate": Example(r"s > s_g \Rightarrow \text{lost}", {"listen_m": 4.0}),
     "clock_scale": Example(r"r' = (1 + \epsilon) \, r", {"error": 0.03}),
     "warm_up": Example(r"r' = r + b \, e^{-t / \tau}", {"offset_m": 0.05, "tau_s": 600.0}, "time"),
-    "latency": Example(r"d' = d - \tau \, \dot d", {"delay_s": 0.3}),
+    "latency": Example(r"d'(t) = d(t - \tau) \approx d - \tau \, \dot d", {"delay_s": 0.3}),
     "dropped_reading": Example(r"P(\text{no echo}) = p + (1 - p) P_0(\text{no echo})", {"probability": 0.3}),
     "stale_repeat": Example(r"P(r_i = r_{i-1}) = p", {"probability": 0.3}),
     "stuck": Example(r"P(r = v) = p", {"probability": 0.3, "value_m": 1.0}),
