@@ -102,7 +102,7 @@ class PreviousPing(Effect):
 
 
 class Latency(Effect):
-    """The reading is older than its logged pose: it belongs to the pose a delay ago.
+    """The reading is that of the logged pose a delay ago.
 
     That pose is interpolated in the log of the run. Where the log does not tell it, or the reading is newer than its
     pose, distance -> distance - delay * range rate; the range rate, m/s, is the change of the logged distance with time
