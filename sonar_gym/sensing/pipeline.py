@@ -70,7 +70,8 @@ class Sensing:
         The distance and the other conditions are those of the face that answered, or else of the face that is detected
         most often; `second` is the range of the second echo, m, 0 without one.
         """
-        ping = np.moveaxis(self.pings.of_shown(which), -1, 0).copy()
+        shown = self.pings.of_shown(which)
+        ping = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()
         out = {
             "distance": ping[columns.DISTANCE],
             "bearing": ping[columns.BEARING],

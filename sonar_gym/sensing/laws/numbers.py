@@ -157,12 +157,10 @@ class CopyStreams:
 
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of shape `size`, whose last axis must be the columns."""
-        shape = size if isinstance(size, tuple) else (size,)
-        if not shape or shape[-1] != self._counts.sum():
-            raise ValueError(
-                f"a law asked for {shape} random numbers for {self._counts.sum()} pings: expected (..., n)"
-            )
-        lead = int(np.prod(shape[:-1]))
+        shape, n = size if isinstance(size, tuple) else (size,), int(self._counts.sum())
+        if not shape or shape[-1] != n:
+            raise ValueError(f"a law asked for {shape} random numbers for {n} pings: expected (..., n)")
+        lead = math.prod(shape[:-1])
         keys, counters = self._streams.keys, self._streams.counters
         return draw_uniform(lead, self._copies, self._counts, keys, counters).reshape(shape)
 
