@@ -71,7 +71,7 @@ class Sensing:
         most often; `second` is the range of the second echo, m, 0 without one.
         """
         shown = self.pings.of_shown(which)
-        ping = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()
+        ping = shown.transpose(shown.ndim - 1, *range(shown.ndim - 1)).copy()  # numpy.moveaxis, but faster
         out = {
             "distance": ping[columns.DISTANCE],
             "bearing": ping[columns.BEARING],

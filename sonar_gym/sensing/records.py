@@ -100,7 +100,7 @@ class PingArrays(NamedTuple):
 
     def of_shown(self, which: int | slice | Ints) -> Floats:
         """Return a copy of the records of the readings shown: (s, N_RECORD) of one car, (r, s, N_RECORD) of several."""
-        row: int | Ints = which if isinstance(which, int) else np.arange(len(self.records))[which][:, None]
+        row: int | Ints = which if isinstance(which, int) else np.arange(len(self.records))[which][..., None]
         return self.records[row, np.arange(self.shown.shape[1]), self.shown[which]]
 
 
