@@ -22,6 +22,7 @@ from acquisition.errors import SettingError
 from acquisition.limits import as_numbers, as_whole, shown
 
 TEMPERATURE = "temperature_c"  # covariate: a thermometer at the sensor, degC
+RANGE_RATE = "range_rate_mps"  # covariate: speed of the reflector away from the sensor, m/s
 CREDENCE_TOLERANCE = 0.1  # Esmi (2016), section 4.1: a reading is right within +-10 % of the true distance
 CELSIUS = 273.15  # K; 0 degC
 MAX_RANGE = 1700.0  # m, of a reading: any 16-bit count, also in inches, since transmission errors can set every bit

@@ -28,10 +28,9 @@ from acquisition.bench.laboratory.setup import Setup
 from acquisition.bench.laboratory.unit import Unit
 from acquisition.bench.registers import NOISE, TrueEchoes
 from acquisition.bench.visits import Visits
-from acquisition.ping import Ping
+from acquisition.ping import RANGE_RATE, Ping
 
 N_GROUPS = len(GROUPS)
-RANGE_RATE = "range_rate_mps"  # covariate: speed of the reflector away from the sensor, m/s
 # change of each group's path length with the stand's sway, relative to the path to the reflector
 SWAY_FACTOR = np.array([{FACE: 1.0, BOUNCE: 2.0, POST: 1.0}.get(group, 0.0) for group in range(N_GROUPS)])
 MIN_CAUSE_LEVEL = 0.3  # relative to the threshold; weaker groups are not the cause of a crossing

@@ -16,13 +16,13 @@ from acquisition.bench.laboratory.air import Drift, Floats
 from acquisition.bench.laboratory.interference import Ambient
 from acquisition.bench.laboratory.setup import RANGE_STEP_MM, Setup, check_register
 from acquisition.bench.laboratory.unit import DEG, Unit
-from acquisition.bench.reception import RANGE_RATE, DrawnPings, Reception, draw_flutter
+from acquisition.bench.reception import DrawnPings, Reception, draw_flutter
 from acquisition.bench.registers import Registers, TrueEchoes
 from acquisition.bench.visits import TILT, Visits
 from acquisition.bench.wire import Link, draw_faults, draw_resets, two_state
 from acquisition.brief import brief
 from acquisition.io.recording import Recording
-from acquisition.ping import TEMPERATURE, Ping
+from acquisition.ping import RANGE_RATE, TEMPERATURE, Ping
 
 Progress = Callable[[int, int], None]
 

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from acquisition import EchoStatus
 from acquisition.arrays import Floats
+from acquisition.ping import RANGE_RATE
 from noise.effects.base import EchoSample, Effect, Parameter, Stage, modes, most_frequent
 from noise.effects.medium import ASSUMED_SPEED
-from noise.effects.state import LAG_STEP_S, LAGS_S, RANGE_RATE, State, heard_level_db, new_path
+from noise.effects.state import LAG_STEP_S, LAGS_S, State, heard_level_db, new_path
 from noise.effects.target import presence
 
 INTERVAL = "interval_s"  # covariate: time since the previous ping of the run, s; 0 for the first ping

@@ -17,12 +17,11 @@ from torch import Tensor
 
 from acquisition import EchoStatus, Ping, Reading
 from acquisition.arrays import Floats
-from acquisition.ping import check_pairs
+from acquisition.ping import RANGE_RATE, check_pairs
 
 MARGIN_DB = 60.0  # level of a flat wall at 1 m above the threshold of an ideal sonar: no misses; chosen here
 DETECTION_WIDTH_DB = 1.5  # spread of the level at the threshold: log-normal level noise, sigma 1.5 dB
 MIN_SPREAD_M = 1e-6  # smallest standard deviation of an arrival, m: far below any register step
-RANGE_RATE = "range_rate_mps"  # covariate: change of the logged distance with time in the run, m/s
 LAG_STEP_S = 0.05
 LAGS_S: Floats = LAG_STEP_S * np.arange(21.0)  # up to 1 s, the longest delay
 MAX_GAP_S = 0.5  # between pings of a log; over a longer one it does not tell where the sensor was; chosen here

@@ -10,10 +10,10 @@ import torch
 from scipy.stats import qmc
 
 from acquisition.arrays import Floats
+from acquisition.ping import RANGE_RATE
 from noise.effects import EchoSample, Effect, Parameter, Stage
 from noise.effects.base import modes
 from noise.effects.interping import INTERVAL
-from noise.effects.state import RANGE_RATE
 from noise.fitting.batch import Batch
 from noise.fitting.stack import JITTER, LEVEL_SD, SIMULATION_CORRELATION, VISITS, Key, Stack
 from noise.statistics import robust_std

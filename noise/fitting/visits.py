@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from acquisition import Ping, Recording
-from noise.effects.state import RANGE_RATE
+from acquisition.ping import RANGE_RATE
 
 VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
 MIN_VISITS = 8  # with fewer, no bootstrap over visits means anything, and each is cut into visits of `VISIT_PINGS`

@@ -12,7 +12,7 @@ import numpy as np
 
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
-from acquisition.ping import CELSIUS, TEMPERATURE
+from acquisition.ping import CELSIUS, RANGE_RATE, TEMPERATURE
 from noise.learned.gain import GAIN, LOSS, with_loss
 from noise.model import ORDER
 from noise.replay import SIMULATED, SIMULATED_BEFORE
@@ -20,7 +20,7 @@ from noise.replay import SIMULATED, SIMULATED_BEFORE
 NATURAL_SPAN = {"distance": 0.1, "angle": 0.05, "incidence": 0.05, "reflectance": 0.1}  # m, rad, rad, 1
 COMPARED_C = (-11.0, 46.0)  # degC; -10 to 45 degC with the drift of a room: training/noise/conditions.py
 # of the past or of a simulation; this package adds them to pings, and no learned law of a condition needs them
-ADDED = ("interval_s", "range_rate_mps", *SIMULATED, *SIMULATED_BEFORE, ORDER)
+ADDED = ("interval_s", RANGE_RATE, *SIMULATED, *SIMULATED_BEFORE, ORDER)
 LOG_OFFSET_M = 0.02  # m; added to the distance to limit the slope of its logarithm
 
 

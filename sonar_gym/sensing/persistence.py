@@ -65,13 +65,13 @@ def latents(paths: Floats, keys: Ints, lasting: float, length: float) -> Floats:
 
 
 @compiled
-def persisting(new: Floats, latent: Floats, shares: Floats) -> Floats:
+def persisting(new: Floats, latent: Floats, shares: tuple[float, float]) -> Floats:
     """Return uniform numbers with a persisting part, (LATENTS, m).
 
     Args:
         new: uniform numbers, (LATENTS, m).
         latent: the persisting normal numbers, (LATENTS, m).
-        shares: share of the persisting part in the variance of each row, (LATENTS,).
+        shares: share of the persisting part in the variance of each row.
     """
     out = np.empty_like(new)
     for row in range(new.shape[0]):
@@ -95,7 +95,7 @@ class PersistentStream:
 
     def __init__(self, stream: UniformSource, latent: Floats, persistence: Persistence) -> None:
         self._stream, self._latent, self._persistence = stream, latent, persistence
-        self._shares = np.array([persistence.detection, persistence.range])
+        self._shares = float(persistence.detection), float(persistence.range)
 
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of shape `size`."""

@@ -250,7 +250,8 @@ def first_echoes(
             fails = fault.shape[0] > 0 and fault[i] > 0
             if status[i] == _ECHO and counts_as_echo(own, reading[i], i == last, fails, alone):
                 echo = reading[i] + own[SHIFT]
-            echoes[i - begin] = echo if echo <= max_range else math.inf
+            # an earlier burst of another sonar may also return before this ping, which then does not listen yet
+            echoes[i - begin] = echo if 0.0 < echo <= max_range else math.inf
             if echoes[i - begin] < nearest:
                 nearest, answered = echoes[i - begin], i
             faced = faced or (own[OBSTACLE] >= 0.0 and own[SOURCE] == 0.0)

@@ -206,7 +206,7 @@ class Sonar:
 
     def _source(self, copies: Ints, fired: FiredPings, sonars: Ints) -> PathSource:
         """Return the random numbers of the paths, with the part that persists."""
-        stream, held = self.rngs.of(copies, fired.counts), self.persistence
+        stream, held = self.rngs.of(copies, fired.counts, len(fired.owner)), self.persistence
         if held is None:
             return stream
         keys = self._episodes[sonars // self.count] + sonars % self.count

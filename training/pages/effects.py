@@ -10,9 +10,9 @@ from acquisition import Ping
 from acquisition.arrays import Floats
 from acquisition.io.files import write_bytes, write_text
 from acquisition.io.places import OutputFolder
+from acquisition.ping import RANGE_RATE
 from noise import PhysicalModel, simulate
 from noise.effects import CATALOGUE, Effect, Parameter, Stage
-from noise.effects.state import RANGE_RATE
 from training.common.canvas import AFTER, BEFORE, SOFT, Axes, panels
 from training.common.commit import commit
 from training.common.progress import bar

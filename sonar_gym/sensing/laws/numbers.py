@@ -136,9 +136,9 @@ class Streams:
             self._generators[copy] = np.random.default_rng(self.keys[copy].view(np.uint64))
         return self._generators[copy]
 
-    def of(self, copies: Ints, counts: Ints) -> CopyStreams:
+    def of(self, copies: Ints, counts: Ints, columns: int) -> CopyStreams:
         """Return the source of numbers for some columns of some copies."""
-        return CopyStreams(self, copies, counts)
+        return CopyStreams(self, copies, counts, columns)
 
 
 class CopyStreams:
@@ -150,14 +150,15 @@ class CopyStreams:
         streams: streams of all copies.
         copies: numbers of some of them, (r,).
         counts: number of columns of each of these, (r,).
+        columns: number of all columns.
     """
 
-    def __init__(self, streams: Streams, copies: Ints, counts: Ints) -> None:
-        self._streams, self._copies, self._counts = streams, copies, counts
+    def __init__(self, streams: Streams, copies: Ints, counts: Ints, columns: int) -> None:
+        self._streams, self._copies, self._counts, self._columns = streams, copies, counts, columns
 
     def random(self, size: int | tuple[int, ...], /) -> Floats:
         """Return uniform random numbers of shape `size`, whose last axis must be the columns."""
-        shape, n = size if isinstance(size, tuple) else (size,), int(self._counts.sum())
+        shape, n = size if isinstance(size, tuple) else (size,), self._columns
         if not shape or shape[-1] != n:
             raise ValueError(f"a law asked for {shape} random numbers for {n} pings: expected (..., n)")
         lead = math.prod(shape[:-1])

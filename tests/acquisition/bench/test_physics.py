@@ -13,7 +13,7 @@ from acquisition.bench.acoustics.room import arrivals
 from acquisition.bench.acoustics.transducer import PULSE_STEP, REFERENCE_C, Piston, pulse_at
 from acquisition.bench.firmware import PER_UNIT
 from acquisition.bench.laboratory.air import CARRIER, Air, sound_speed
-from acquisition.bench.reception import RANGE_RATE
+from acquisition.ping import RANGE_RATE
 
 SPEED = float(sound_speed(19.0, 50.0))
 WIDTH_M, DISTANCE_M, SLOPE = 0.4, 2.0, np.deg2rad(35.0)

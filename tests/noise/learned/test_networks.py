@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from acquisition import ModelError, Ping, Reading, SettingError
+from acquisition.ping import RANGE_RATE
 from noise import ExtrapolationWarning, load_model, model_names, save_model
 from noise.effects.interping import INTERVAL
 from noise.effects.medium import sound_speed
-from noise.effects.state import RANGE_RATE
 from noise.learned.inputs import Inputs
 from noise.learned.mixture import Head
 from noise.learned.networks import MlpModel

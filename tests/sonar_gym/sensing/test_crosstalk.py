@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from acquisition import Ping
+from acquisition import EchoStatus, Ping
 from acquisition.bench import Neighbour, Rig, Setup, Unit
 from noise import GaussianModel, load_model
 from noise.rig import SIMULATED
@@ -14,7 +14,7 @@ from sonar_gym.parking.environment import SonarParkingEnv
 from sonar_gym.parking.fleet import MAX_RANGE
 from sonar_gym.sensing import crosstalk, paths
 from sonar_gym.sensing.detection import LISTENING_M, detection, detection_table, has_beam, listening_table
-from sonar_gym.sensing.records import CROSSTALK
+from sonar_gym.sensing.records import BY_CROSSTALK, CROSSTALK, RANGE, STATUS, FiredPings, first_echoes
 from sonar_gym.sensing.scene import Scene, WallSegment
 
 TABLE = np.full((2, 2, 2, 2), 0.9)
@@ -69,6 +69,21 @@ def test_an_earlier_burst_is_heard_from_far_behind_the_range():
         assert crossed[0, paths.DISTANCE] == pytest.approx(math.hypot(4.5, 0.5 * apart))
         assert crossed[0, paths.SHIFT] == pytest.approx(-0.5 * 343.0 * 0.02)
     assert not any(np.any(found[:, paths.SOURCE] > 0.0) for found in ping(pair, [wall]))  # without earlier ones
+
+
+@pytest.mark.parametrize(("reading", "heard"), [(3.40, 0.0), (3.43, 0.0), (3.45, 0.02), (4.5, 1.07)])
+def test_an_echo_of_an_earlier_burst_that_is_back_before_the_ping_is_not_heard(reading, heard):
+    # the burst of 20 ms ago, which adds -3.43 m, and an empty cone
+    two = np.zeros((2, paths.N_PATH))
+    two[0, [paths.DISTANCE, paths.SHIFT, paths.SOURCE]] = reading, -3.43, 2.0
+    two[1, paths.OBSTACLE] = -1.0
+    one, none = np.zeros(1, np.int64), np.zeros(0)
+    fired = FiredPings(one, one, np.array([0, 2]), np.zeros(1), one + 2, two, np.zeros((4, 2)), np.zeros(2), one)
+    status = np.array([EchoStatus.ECHO, EchoStatus.NO_ECHO], dtype=np.uint8)
+    record = first_echoes(fired, np.array([reading, 0.0]), status, none, one[:0], MAX_RANGE)[0]
+    assert record[RANGE] == pytest.approx(heard)
+    assert record[STATUS] == (EchoStatus.ECHO if heard else EchoStatus.NO_ECHO)
+    assert record[BY_CROSSTALK] == (2.0 if heard else 0.0)
 
 
 def test_an_earlier_burst_is_as_loud_as_in_the_rig():

@@ -122,23 +122,23 @@ def test_each_copy_draws_as_if_it_were_alone():
     together = Streams(3, 5)
     for copy in range(3):
         together.seed(10 + copy, copy)
-    numbers = together.of(np.arange(3), np.array([4, 0, 3])).random((2, 7))
-    more = together.of(np.arange(3), np.array([1, 2, 1])).random((3, 4))
+    numbers = together.of(np.arange(3), np.array([4, 0, 3]), 7).random((2, 7))
+    more = together.of(np.arange(3), np.array([1, 2, 1]), 4).random((3, 4))
     alone = Streams(1, 5)
     alone.seed(12, 0)
-    assert np.array_equal(numbers[:, 4:], alone.of(np.zeros(1, np.int64), np.array([3])).random((2, 3)))
-    assert np.array_equal(more[:, 3:], alone.of(np.zeros(1, np.int64), np.array([1])).random((3, 1)))
+    assert np.array_equal(numbers[:, 4:], alone.of(np.zeros(1, np.int64), np.array([3]), 3).random((2, 3)))
+    assert np.array_equal(more[:, 3:], alone.of(np.zeros(1, np.int64), np.array([1]), 1).random((3, 1)))
 
 
 def test_numbers_are_uniform_and_uncorrelated():
     streams = Streams(2, 0)
     streams.seed(1, 0), streams.seed(2, 1)
-    a, b = streams.of(np.arange(2), np.array([20_000, 20_000])).random(40_000).reshape(2, -1)
+    a, b = streams.of(np.arange(2), np.array([20_000, 20_000]), 40_000).random(40_000).reshape(2, -1)
     assert kstest(a, "uniform").pvalue > 1e-3
     for x, y in ((a, b), (a[1:], a[:-1]), (a[::2], a[1::2])):
         assert abs(np.corrcoef(x, y)[0, 1]) < 0.03
     with pytest.raises(ValueError, match=r"expected \(\.\.\., n\)"):
-        streams.of(np.arange(2), np.array([1, 1])).random(3)
+        streams.of(np.arange(2), np.array([1, 1]), 2).random(3)
 
 
 def test_the_normal_distribution_agrees_with_scipy():
