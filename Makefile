@@ -111,6 +111,9 @@ judge: $(STAMP)  ## measure the diagnosis on labelled trials (hours; stop at any
 proof: $(STAMP)  ## 300 blind trials (hours; stop at any time, the same command goes on)
 	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --workers $(WORKERS) --announce $(ANNOUNCED) --pages docs/explanation
 	$(BIN)/sonar-gym verify-proof runs/proof/ledger.jsonl --workers $(WORKERS)
+	$(BIN)/python -m benchmarks.first_design runs/proof/ledger.jsonl --workers $(WORKERS)
+	$(BIN)/sonar-gym prove --out runs/proof --trials 300 --pages docs/explanation
+	cp runs/proof/first-design.jsonl $(dir $(ANNOUNCED))
 	xz -9 --keep --stdout runs/proof/ledger.jsonl > $(dir $(ANNOUNCED))ledger.jsonl.xz
 	cp runs/proof/proof-families.md $(dir $(ANNOUNCED))
 

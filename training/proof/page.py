@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -34,13 +35,14 @@ from training.diagnosis.judging.scoring import (
 )
 from training.diagnosis.judging.tasks import HARD_CASE
 from training.proof.baselines import LEVEL
-from training.proof.chain import Line
+from training.proof.chain import Line, ProofError
 from training.proof.deck import SCHEMA
 from training.proof.ledger import answers_of, left_out_records, lost_of, records_of
 from training.proof.real import EVENT as REAL
 from training.proof.secret import has_secret
 
 PAGE, FAMILIES_PAGE, PICTURE = "proof.md", "proof-families.md", "proof.png"
+FIRST_DESIGN = "first-design.jsonl"  # beside the ledger, by `python -m benchmarks.first_design`
 SILENT = ("none", "too_little_data")
 EDGES = (0.0, 2.0, 5.0, 15.0, 50.0, 150.0, np.inf)  # of bins of separation, nats
 UNFITTED, ALL = "families never fitted", "all families"
@@ -98,12 +100,12 @@ def publish(lines: Sequence[Line], pages: Path, out: Path) -> str:
     Args:
         lines: of the ledger.
         pages: folder of the page.
-        out: folder of the table of each family.
+        out: folder of the table of each family, and of the first design's verdicts if they are recorded.
     """
     answers = answers_of(lines)
     write_bytes(pages / PICTURE, picture(lines))
     found = scopes(lines, answers)
-    write_text(pages / PAGE, page(lines, records_of(lines, answers), found))
+    write_text(pages / PAGE, page(lines, records_of(lines, answers), found, verdicts_before(out / FIRST_DESIGN, lines)))
     write_text(out / FAMILIES_PAGE, f"# Targets of each family of generators\n\n{family_table(found)}\n")
     hits = Counter(row.hit for row in found[ALL])
     return f"targets met over all families: {hits[True]} of {hits[True] + hits[False]}; page: {pages / PAGE}"
@@ -116,8 +118,27 @@ def picture(lines: Sequence[Line]) -> bytes:
     return panels(drawn, (13.5, 4.0))
 
 
-def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list[Row]]) -> str:
-    """Return the page as Markdown."""
+def verdicts_before(path: Path, lines: Sequence[Line]) -> dict[int, Record]:
+    """Return the first design's verdicts by trial in the present form; empty where they are not recorded.
+
+    Raises:
+        ProofError: they are of another deck.
+    """
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    head, *each = [json.loads(line) for line in text.splitlines()] or [{"deck": lines[0]["hash"]}]
+    if head["deck"] != lines[0]["hash"]:
+        raise ProofError(f"{path}: is of deck {head['deck']}, not of {lines[0]['hash']}; move it away")
+    found = {line["trial"]: line["verdict"] for line in each if line["error"] is None}
+    return {
+        trial: {"verdict": said["verdict"], "causes": [{**effect, "alternatives": []} for effect in said["effects"]]}
+        for trial, said in found.items()
+    }
+
+
+def page(
+    lines: Sequence[Line], records: Sequence[Record], found: dict[str, list[Row]], before: Mapping[int, Record]
+) -> str:
+    """Return the page as Markdown; `before` has the first design's verdicts by trial."""
     deck, lost = lines[0], lost_of(lines)
     failed = failures(records)
     records = [record for record in records if record["error"] is None]
@@ -135,7 +156,7 @@ def page(lines: Sequence[Line], records: Sequence[Record], found: dict[str, list
         rules="" if deck["schema"] >= SCHEMA else LATER_RULES,
         table=target_table(found),
         parts=", ".join(f"`{name}`" for name in PARTS.values()),
-        baselines=baseline_table(records),
+        baselines=baseline_table(records, before),
         real=real_table(real) if real else "None were at hand.",
         deck=deck["hash"],
         drawn=SECRET if has_secret(deck) else DRAWN,
@@ -182,10 +203,15 @@ def family_table(found: dict[str, list[Row]]) -> str:
     return markdown_table(("metric", *families), [(m, *(_cell(columns[f][m]) for f in families)) for m in shown])
 
 
-def baseline_table(records: Sequence[Record]) -> str:
-    """Return what this package and the baselines reach on nulls and on single causes of half the plain size."""
-    null = [r for r in records if r["kind"] == SAME]
-    known = [r for r in records if r["kind"] == SINGLE and r["causes"][0]["size"] >= STRONG_SIZE]
+def compared(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Return the trials that baselines are compared on: nulls, and single causes of half the plain size."""
+    single = (r for r in records if r["kind"] == SINGLE)
+    return [r for r in records if r["kind"] == SAME], [r for r in single if r["causes"][0]["size"] >= STRONG_SIZE]
+
+
+def baseline_table(records: Sequence[Record], before: Mapping[int, Record]) -> str:
+    """Return what this package, its first design and the baselines reach on the same trials."""
+    null, known = compared(records)
     chance = [len(set(r["causes"][0]["accepted"]) & CATALOGUE.keys()) / len(CATALOGUE) for r in known]
     table: list[tuple[str, ...]] = [("chance", "–", "–", _percent(chance), "0.00")]
     for name, alarm, right, model in BASELINES:
@@ -193,6 +219,12 @@ def baseline_table(records: Sequence[Record]) -> str:
         said = (_percent([alarm(r) for r in group]) if alarm else "–" for group in (null, known))
         named = _percent([right(r) for r in known]) if right else "–"
         table.append((name, *said, named, f"{np.median(gaps):.2f}" if gaps else "–"))
+    if before:
+        earlier = [
+            [{**r, "verdict": before[r["trial"]]} for r in group if r["trial"] in before] for group in (null, known)
+        ]
+        alarms = (_percent([r["verdict"]["verdict"] not in SILENT for r in group]) for group in earlier)
+        table.insert(2, ("its first design, commit 802bd60", *alarms, _percent(list(map(leads, earlier[1]))), "–"))
     return markdown_table(("method", "alarms, nulls", "alarms, causes", "cause right", "median gap closed"), table)
 
 

@@ -322,6 +322,7 @@ def unchecked(lines: Sequence[Line], args: Args) -> Iterator[str]:
     n = max(len(of_event(lines, SCORED)) - args.rediagnose, 0)
     yield f"verdicts, evidence and scores on fresh recordings of {n} trials: give --rediagnose to repeat them"
     yield "seconds, hashes of models, and verdicts on real recordings, which are no part of the project"
+    yield "the first design's row of the page: `python -m benchmarks.first_design` repeats it"
     if old:
         rows = ", ".join(f'"{name.strip(" :")} …"' for name in OTHER_RULES)
         yield f"rows {rows} of the closing line, now counted by other rules: check out commit {lines[0].get('commit')}"
