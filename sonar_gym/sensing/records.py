@@ -223,7 +223,7 @@ def counts_as_echo(path: Floats, reading: float, main: bool, faulty: bool, alone
 
 @compiled
 def first_echoes(
-    fired: FiredPings, reading: Floats, status: Bytes, credence: Floats, fault: Ints, max_range: float
+    fired: FiredPings, reading: Floats, status: Bytes, credence: Floats, fault: Ints, step: float, max_range: float
 ) -> Floats:
     """Return the records of pings, (n, N_RECORD): the first echo of the paths of each, and the second.
 
@@ -237,6 +237,7 @@ def first_echoes(
         status: its status, (m,).
         credence: credence given the condition of each path, (m,); empty if the model has none.
         fault: number of the fault of each reading, (m,); empty if the model has no faults.
+        step: of the sonar's register, m, in which it also reads another's burst.
         max_range: range beyond which an echo is none, m.
     """
     out, echoes = np.zeros((fired.car.shape[0], N_RECORD)), np.empty(MAX_PATHS)
@@ -249,7 +250,7 @@ def first_echoes(
             own, echo = fired.paths[i], math.inf
             fails = fault.shape[0] > 0 and fault[i] > 0
             if status[i] == _ECHO and counts_as_echo(own, reading[i], i == last, fails, alone):
-                echo = reading[i] + own[SHIFT]
+                echo = reading[i] + (step * round(own[SHIFT] / step) if own[SHIFT] != 0.0 else 0.0)
             # an earlier burst of another sonar may also return before this ping, which then does not listen yet
             echoes[i - begin] = echo if 0.0 < echo <= max_range else math.inf
             if echoes[i - begin] < nearest:

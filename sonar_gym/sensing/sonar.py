@@ -197,10 +197,10 @@ class Sonar:
         places = self._memory_places(fired) if self._by_face else sonars
         source = self._source(copies, fired, sonars)
         drawn = self.law.draw(PathPings(fired.conditions, fired.time, places), source)
-        credence, fault = (NOTHING if drawn.credence is None else drawn.credence), drawn.fault
-        out = records.first_echoes(
-            fired, drawn.range, drawn.status, credence, NO_FAULTS if fault is None else fault, self.max_range
-        )
+        credence = NOTHING if drawn.credence is None else drawn.credence
+        fault = NO_FAULTS if drawn.fault is None else drawn.fault
+        step = float(self.model.resolution)
+        out = records.first_echoes(fired, drawn.range, drawn.status, credence, fault, step, self.max_range)
         self.law.hear(index, out[:, records.RANGE], out[:, records.STATUS])
         return out
 

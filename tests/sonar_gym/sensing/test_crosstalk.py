@@ -73,14 +73,14 @@ def test_an_earlier_burst_is_heard_from_far_behind_the_range():
 
 @pytest.mark.parametrize(("reading", "heard"), [(3.40, 0.0), (3.43, 0.0), (3.45, 0.02), (4.5, 1.07)])
 def test_an_echo_of_an_earlier_burst_that_is_back_before_the_ping_is_not_heard(reading, heard):
-    # the burst of 20 ms ago, which adds -3.43 m, and an empty cone
+    # the burst of 20 ms ago, which adds -3.43 m in whole steps of the register, and an empty cone
     two = np.zeros((2, paths.N_PATH))
-    two[0, [paths.DISTANCE, paths.SHIFT, paths.SOURCE]] = reading, -3.43, 2.0
+    two[0, [paths.DISTANCE, paths.SHIFT, paths.SOURCE]] = reading, -3.434, 2.0
     two[1, paths.OBSTACLE] = -1.0
     one, none = np.zeros(1, np.int64), np.zeros(0)
     fired = FiredPings(one, one, np.array([0, 2]), np.zeros(1), one + 2, two, np.zeros((4, 2)), np.zeros(2), one)
     status = np.array([EchoStatus.ECHO, EchoStatus.NO_ECHO], dtype=np.uint8)
-    record = first_echoes(fired, np.array([reading, 0.0]), status, none, one[:0], MAX_RANGE)[0]
+    record = first_echoes(fired, np.array([reading, 0.0]), status, none, one[:0], 0.01, MAX_RANGE)[0]
     assert record[RANGE] == pytest.approx(heard)
     assert record[STATUS] == (EchoStatus.ECHO if heard else EchoStatus.NO_ECHO)
     assert record[BY_CROSSTALK] == (2.0 if heard else 0.0)
