@@ -13,7 +13,6 @@ import argparse
 import io
 import json
 import subprocess
-import sys
 import tarfile
 import tempfile
 from collections.abc import Callable
@@ -26,13 +25,13 @@ from training.common.commit import ROOT
 from training.common.progress import bar
 from training.diagnosis.judging.tasks import case_of
 from training.proof.chain import Line, ProofError, load, of_event
+from training.proof.diagnosing import RESULT
 from training.proof.ledger import CLOSED, SEALED, answers_of, records_of
 from training.proof.page import FIRST_DESIGN, compared
 from training.proof.run import given, hashes_of
-from training.proof.work import Files, environment, files_of, task_of
+from training.proof.work import Files, files_of, result_of, task_of
 
 COMMIT = "802bd607ca03700b3d13a5c05a074dfbcb8bd4ae"
-RESULT = "result.json"
 # what the earlier command does with two files and an ideal model, with errors written instead of raised
 PROGRAM = f"""
 import json, time
@@ -61,21 +60,6 @@ def checked_out(folder: Path) -> Path:
     with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
         archive.extractall(folder, filter="data")
     return folder
-
-
-def diagnosed(code: Path, files: Files) -> dict[str, Any]:
-    """Return the result of the earlier code, which gets two files in an empty folder."""
-    with tempfile.TemporaryDirectory(prefix="diagnosis-") as name:
-        for file, data in files.items():
-            (Path(name) / file).write_bytes(data)
-        command = [sys.executable, "-c", PROGRAM]
-        done = subprocess.run(
-            command, cwd=name, env={**environment(), "PYTHONPATH": str(code)}, capture_output=True, check=False
-        )
-        result = Path(name) / RESULT
-        if not result.is_file():
-            raise RuntimeError(f"the process of the first design ended: {done.stderr.decode()[-400:]}")
-        return dict(json.loads(result.read_text()))
 
 
 def entry(trial: int, answer: dict[str, Any], sealed: Line, diagnose: Diagnose) -> dict[str, Any]:
@@ -124,7 +108,7 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="first-design-") as name:
         code = checked_out(Path(name))
-        print(record(args.ledger, args.workers, lambda files: diagnosed(code, files)))
+        print(record(args.ledger, args.workers, lambda files: result_of(["-c", PROGRAM], files, code)[0]))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -60,11 +60,22 @@ def as_csv(recording: Recording) -> bytes:
 
 
 def diagnosed(files: Files, without: tuple[str, ...] = ()) -> tuple[Result, bytes]:
-    """Return the result of a new process that gets two files in an empty folder, and the diagnosis as bytes.
+    """Return the result of a diagnosis in a process of its own, and the diagnosis as bytes.
 
     Args:
         files: of which `recorded.csv` and, if it is there, `simulated.csv` are given.
         without: ids of effects that are taken out of the catalogue.
+    """
+    return result_of([*PROGRAM, *without], files)
+
+
+def result_of(program: Sequence[str], files: Files, code: Path = ROOT) -> tuple[Result, bytes]:
+    """Return what a new process writes that gets two files in an empty folder: the result, and the diagnosis as bytes.
+
+    Args:
+        program: arguments of Python.
+        files: as in `diagnosed`.
+        code: folder from which the process imports.
     """
     with tempfile.TemporaryDirectory(prefix="diagnosis-") as name:
         folder = Path(name)
@@ -72,19 +83,20 @@ def diagnosed(files: Files, without: tuple[str, ...] = ()) -> tuple[Result, byte
             if file in files:
                 (folder / file).write_bytes(files[file])
         done = subprocess.run(
-            [sys.executable, *PROGRAM, *without], cwd=folder, env=environment(), capture_output=True, text=True,
+            [sys.executable, *program], cwd=folder, env=environment(code), capture_output=True, text=True,
             start_new_session=True,  # Ctrl-C must not end a diagnosis, which would be recorded as its failure
         )  # fmt: skip
         if not (folder / RESULT).is_file():
             words = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
             return {"verdict": None, "error": f"the process ended: {words[-1]}", "seconds": 0.0}, b""
-        return json.loads((folder / RESULT).read_text()), (folder / MODEL).read_bytes()
+        model = folder / MODEL
+        return json.loads((folder / RESULT).read_text()), model.read_bytes() if model.is_file() else b""
 
 
-def environment() -> dict[str, str]:
-    """Return the whole environment of a diagnosing process."""
+def environment(code: Path = ROOT) -> dict[str, str]:
+    """Return the whole environment of a diagnosing process that imports from a folder."""
     kept = {name: os.environ[name] for name in KEPT if name in os.environ}
-    return {**kept, "PYTHONPATH": str(ROOT), **{f"{name}_NUM_THREADS": "1" for name in THREADS}}
+    return {**kept, "PYTHONPATH": str(code), **{f"{name}_NUM_THREADS": "1" for name in THREADS}}
 
 
 def scored(answer: Mapping[str, Any], model: bytes) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from training.proof.chain import FIRST, ProofError, linked, load, parse
 from training.proof.deck import planned
 from training.proof.ledger import answers_of, lost_of
 from training.proof.parcel import packed, unpacked
+from training.proof.real import FOLDER
 from training.proof.run import LEDGER, Args, given, main, opened
 from training.proof.secret import FILE, secret_of
 from training.proof.verify import Args as VerifyArgs
@@ -58,7 +59,8 @@ def test_a_finished_ledger_has_every_trial_once_and_no_two_alike(finished):
     assert len({answer["seed"] for answer in answers.values()}) == len(answers)
 
 
-def test_an_answer_is_committed_to_before_its_diagnosis_begins(tmp_path):
+def test_an_answer_is_committed_to_before_its_diagnosis_begins(tmp_path, monkeypatch):
+    monkeypatch.delenv(FOLDER, raising=False)  # real recordings conceal a fact, and no answer
     def diagnose(files, without=()):
         sealed = [json.loads(line) for line in (tmp_path / LEDGER).read_text().splitlines()]
         committed = {line["files"]["recorded.csv"] for line in sealed if line["event"] == "sealed"}
