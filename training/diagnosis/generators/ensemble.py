@@ -24,7 +24,9 @@ _FAMILIES: dict[str, Family] = {
 FAMILIES: tuple[str, ...] = tuple(_FAMILIES)
 SAME, SINGLE, PAIR, UNMODELLED, SIMULATOR = KINDS = ("same", "single", "pair", "unmodelled", "simulator")
 ODD = "odd"  # one or two known causes in sonars that share a fault which no law describes
-ALL_KINDS = (*KINDS, ODD)
+SEVERAL = "several"  # three to five known causes, as where a recording is compared with a simple simulator
+ALL_KINDS = (*KINDS, ODD, SEVERAL)
+MOST_CAUSES = 5
 SIZES = (0.12, 3.0)  # from barely visible to more than plain, evenly in the logarithm
 MIN_PINGS = 20
 SINGLES = 0.5  # share of the odd trials with one cause
@@ -51,7 +53,8 @@ def make_trial(
         family: one of `FAMILIES`.
         kind: one of `ALL_KINDS`: "same" (no difference), "single" and "pair" (one or two known causes), "unmodelled" (a
             fault of the grammar), "simulator" (a simulator of another kind; only family "rays"), "odd" (known causes,
-            and a fault of the grammar that both sonars have).
+            and a fault of the grammar that both sonars have), "several" (three to five known causes, or as many as a
+            family has that go together).
         rng: source of all randomness.
         pings: approximate number of pings of each recording; a fresh one has a third.
         cause: id of the first cause; drawn by default.
@@ -114,22 +117,26 @@ def _size(rng: Rng, size: float | None) -> float:
 
 
 def _chosen(family: Family, kind: str, rng: Rng, first: str | None) -> list[Cause]:
-    """Return the causes of a trial; two causes differ in their effect and agree on the survey that they require."""
-    if kind not in (SINGLE, PAIR, ODD):
+    """Return the causes of a trial; they differ in their effect and agree on the survey that they require."""
+    if kind not in (SINGLE, PAIR, ODD, SEVERAL):
         return []
     by_effect = {cause.effect: cause for cause in family.causes}
-    one = by_effect[first] if first else family.causes[int(rng.integers(len(family.causes)))]
-    if kind == SINGLE or (kind == ODD and rng.random() < SINGLES):
-        return [one]
-    others = [
-        other
-        for other in family.causes
-        if other.effect != one.effect
-        and other.effect not in one.accepted
-        and one.effect not in other.accepted
-        and not (one.survey.keys() & other.survey.keys())
-    ]
-    return [one, others[int(rng.integers(len(others)))]]
+    chosen = [by_effect[first] if first else family.causes[int(rng.integers(len(family.causes)))]]
+    wanted = 1 if kind == SINGLE or (kind == ODD and rng.random() < SINGLES) else 2
+    if kind == SEVERAL:
+        wanted = int(rng.integers(3, MOST_CAUSES + 1))
+    while len(chosen) < wanted:
+        others = [other for other in family.causes if all(_go_together(other, one) for one in chosen)]
+        if not others:
+            break
+        chosen.append(others[int(rng.integers(len(others)))])
+    return chosen
+
+
+def _go_together(other: Cause, one: Cause) -> bool:
+    """Return whether two causes have different names and do not require the survey to be laid out in two ways."""
+    named = other.effect == one.effect or other.effect in one.accepted or one.effect in other.accepted
+    return not named and not (one.survey.keys() & other.survey.keys())
 
 
 def _surveys(family: Family, chosen: list[Cause], rng: Rng, pings: int) -> Surveys:

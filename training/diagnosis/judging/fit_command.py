@@ -17,7 +17,7 @@ from acquisition.limits import Count, Limit, Seed, Workers
 from noise.discrepancy.judge.decision import WEIGHTS, DecisionModel
 from training.common.canvas import AFTER, SOFT, Axes, panels
 from training.common.commit import ROOT, commit
-from training.diagnosis.generators.ensemble import FAMILIES, ODD, PAIR, SINGLE, UNMODELLED
+from training.diagnosis.generators.ensemble import FAMILIES, ODD, PAIR, SEVERAL, SINGLE, UNMODELLED
 from training.diagnosis.judging.command import LEFT_OUT
 from training.diagnosis.judging.decision_fit import (
     examples_of,
@@ -29,7 +29,7 @@ from training.diagnosis.judging.record import Record
 from training.diagnosis.judging.run import read, run
 from training.diagnosis.judging.tasks import trials
 
-KINDS = (SINGLE, PAIR, UNMODELLED, ODD)  # whose true causes are known, and in which effects are selected
+KINDS = (SINGLE, PAIR, SEVERAL, UNMODELLED, ODD)  # whose true causes are known, and in which effects are selected
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def test_a_trial_has_valid_recordings_of_the_requested_size(family, kind, tmp_pa
     assert list(trial.simulated.table.columns) == list(trial.recorded.table.columns)
     assert trial.fresh.ping.distance.tolist() == trial.fresh_again.ping.distance.tolist()
     assert trial.fresh.ping.distance.tolist() == trial.fresh_simulated.ping.distance.tolist()
-    assert len(trial.causes) in {"single": (1,), "pair": (2,), "odd": (1, 2)}.get(kind, (0,))
+    assert len(trial.causes) in {"single": (1,), "pair": (2,), "odd": (1, 2), "several": (3, 4, 5)}.get(kind, (0,))
     assert bool(trial.fault) == (kind in ("unmodelled", "simulator"))
 
 
