@@ -27,11 +27,11 @@ from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
-from noise.discrepancy.locate.directed import MIN_VISITS, directed_test
+from noise.discrepancy.locate.directed import MIN_VISITS, directed_test, with_trifles
 from noise.discrepancy.locate.few import COARSER, placement_test, register_test, share_test, within_test
 from noise.discrepancy.locate.location import locate
 from noise.discrepancy.locate.orthogonal import Tested, orthogonal_test
-from noise.discrepancy.locate.power import could_have_seen
+from noise.discrepancy.locate.power import could_have_seen, shown_by
 from noise.discrepancy.locate.stability import Stability, stability_test
 from noise.discrepancy.locate.trend import UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.moments.bootstrap import Found, Greatest, any_of, joint, signs_of
@@ -150,12 +150,19 @@ def diagnose(
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data.sample, data, "test", signs)
     lasts = tested.length > 1
-    directed = directed_test(wider, data.sample, signs, data.rng("directed"), bool(lasts.any()), bool(lasts[BIAS]))
+
+    def in_directions(beside: Stack | None = None) -> Greatest:
+        lasting, drifts = bool(lasts.any()), bool(lasts[BIAS])
+        return directed_test(wider, data.sample, signs, data.rng("directed"), lasting, drifts, beside)
+
+    directed = in_directions()
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
     found = [whole, *few_positions(own, other, data.sample, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
     where = located(tested, found) if tested.p_value.value < FALSE_ALARM else ()
-    if differs(tested.p_value, where):
+    also = where and directed.p_value.value < FALSE_ALARM  # beside trifles
+    also = also and in_directions(with_trifles(wider, where)).p_value.value < FALSE_ALARM
+    if also or differs(tested.p_value, where):
         return _different(data, recorded, tested, where, found, tuple(without))
     return _alike(data, recorded, tested, where, _visible(data, own, tested, found))
 
@@ -236,6 +243,8 @@ def _different(
     """
     search, judged = _judged(data, tested, without)
     visible = _visible(data, judged.final.stack, judged.after, found)
+    if not where or not differs(tested.p_value, where):  # nothing, or trifles alone
+        where = (*shown_by(*judged.apart(search), data.sample, tested, data.rng("shown")), *where)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
     options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))
@@ -262,9 +271,8 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     search = Search(data.baseline.law, data.folds, data.baseline.readings, data.rng("search"), without, data.tell)
     seed = int(data.rng("acting").integers(2**63))
     comparing = Comparing(search, data.sample, data.baseline.emulator, partial(against, data), seed)
-    # one move: sizes that go farther to agree would hide what a further effect explains, and cost a test each
-    left = cache(lambda found: comparing.least_rejected(found.effects, found.stacks[0], 1)[0])
-    search.is_left = lambda found, level: left(found).is_below(level)
+    left = cache(lambda found: comparing.p_of_rest(found.effects, found.stacks[0], data.rng("left")))
+    search.is_left = lambda found, level: left(found) < level
     _, found = search.run()
     none = search.nothing(found)
     data.tell("weighing", 0.7)

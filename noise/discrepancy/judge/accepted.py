@@ -19,10 +19,12 @@ from scipy.optimize import linprog
 
 from acquisition.arrays import Floats
 from noise.composed import ComposedModel, with_differences
-from noise.discrepancy.locate.directed import sampled_in_order
+from noise.discrepancy.locate.directed import directed_test, sampled_in_order
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.stability import size_between, sizes
+from noise.discrepancy.moments.bootstrap import signs_of
 from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import BIAS
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LEFT_LEVEL, MOVED_SHARE
 from noise.fitting.batch import Batch
@@ -86,6 +88,23 @@ class Comparing:
                 break
         assert best is not None
         return best
+
+    def p_of_rest(self, effects: Sequence[str], law: Stack, rng: np.random.Generator) -> float:
+        """Return the least p-value of the tests of regions and of directions, of the comparison that rejects least.
+
+        Args:
+            effects: in which the recording differs.
+            law: of the recording.
+            rng: draws signs and folds.
+        """
+        # one move: sizes that go farther to agree would hide what a further effect explains, and cost a test each
+        tested, each = self.least_rejected(effects, law, 1)
+        if tested.is_below(LEFT_LEVEL):
+            return tested.p_value.value
+        lasts, signs = tested.length > 1, signs_of(each.sample.cluster, rng)
+        lasting, drifts = bool(lasts.any()), bool(lasts[BIAS])
+        directed = directed_test(each.simulated, each.sample, signs, rng, lasting, drifts, each.recorded)
+        return min(tested.p_value.value, directed.p_value.value)
 
     def comparisons(self, effects: Sequence[str], law: Stack, moves: int) -> Iterator[tuple[Tested, Comparison]]:
         """Yield the comparisons in which a hypothesis may agree with the recording, each tested, the fairest first."""

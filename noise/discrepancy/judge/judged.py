@@ -21,7 +21,7 @@ from noise.discrepancy.name.hypothesis import Hypothesis
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.result import Alternative, Cause, Interval, PValue, Unexplained
 from noise.discrepancy.thresholds import BELIEVED, FALSE_ALARM, MAX_CAUSES, MIN_SHARE
-from noise.fitting.stack import Key
+from noise.fitting.stack import Key, Stack
 
 Steady = Callable[[Comparison, str], Stability]
 
@@ -57,6 +57,16 @@ class Judged:
         """What the believed causes leave."""
         where = locate(self.after) if self.after.is_below(FALSE_ALARM) else ()
         return Unexplained(self.share_of_rest, self.after.p_value, where)
+
+    def apart(self, search: Search) -> tuple[list[Stack], Stack]:
+        """Return the law with each believed cause alone, that of the greatest share first, and with none."""
+        names = [cause.effect for cause in self.causes if cause.effect in self.believed]
+
+        def without(others: Sequence[str]) -> Stack:
+            keys = search.differing(others)
+            return self.final.stack.put(keys, [search.common.get(key) for key in keys])
+
+        return [without([other for other in names if other != name]) for name in names], without(names)
 
 
 @dataclass(eq=False)

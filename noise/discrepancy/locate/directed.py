@@ -22,7 +22,7 @@ from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, student
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.sample import DISTINCT, Sample, dependence
 from noise.discrepancy.moments.scores import level_of, ping_law
-from noise.discrepancy.result import PValue
+from noise.discrepancy.result import Aspect, Location, PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
 from noise.fitting.batch import Batch
@@ -39,11 +39,20 @@ MAX_ROUNDS = 30  # of draws under a law that remembers; a chain of so many repea
 LEAST_PROBABILITY = 1e-12  # of a reading, whose logarithm is finite
 STEP_SHARE = 0.05  # of its bounds: change of a parameter that the law already has, and that has no typical size
 
+OFFSET: Key = ("zero_offset", "offset_m")
+LOST: Key = ("dropped_reading", "probability")
+
 After = Callable[[Stack, Sequence[dict[Key, float]], Batch], Floats]  # of each change of a law and reading, nats
 
 
 def directed_test(
-    law: Stack, sample: Sample, signs: Singles, rng: np.random.Generator, lasting: bool = False, drifts: bool = True
+    law: Stack,
+    sample: Sample,
+    signs: Singles,
+    rng: np.random.Generator,
+    lasting: bool = False,
+    drifts: bool = True,
+    beside: Stack | None = None,
 ) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
 
@@ -57,14 +66,18 @@ def directed_test(
         lasting: whether errors of readings last longer than a cluster. What the first pings of a visit have shown is
             expected of the others, so that the ratios of single pings tell how long.
         drifts: whether errors of range do, as where the pose of a robot drifts.
+        beside: law of the recording, where it is known to differ; effects with other parameters are not tested.
     """
+    recorded = law if beside is None else beside
     nothing = Greatest(PValue(1.0, len(signs), 0), np.empty(0))
     both, cluster = _thinned(law, sample, rng)
     if len(np.unique(cluster)) < MIN_VISITS:
         return nothing
-    pairs = [(law.by_part(part), batch) for batch, part in zip(both.batches, both.left_out(law), strict=True)]
+    rows = zip((recorded, law), both.batches, both.left_out(law), strict=True)
+    pairs = [(own.by_part(part), batch) for own, batch, part in rows]
     in_one_order = abs(both.follows_more) <= DISTINCT
-    tested = [name for name in CATALOGUE if in_one_order or not CATALOGUE[name].remembers]
+    alike = [name for name in CATALOGUE if law.values.get(name) == recorded.values.get(name)]
+    tested = [name for name in alike if in_one_order or not CATALOGUE[name].remembers]
     names, ratios = directions(law, pairs, joint_log_prob_after, tested)
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
@@ -84,6 +97,13 @@ def directed_test(
         return nothing
     most = np.max(greatest, axis=0)
     return Greatest(p_of_greatest(np.concatenate(z), most, len(names)), most)
+
+
+def with_trifles(law: Stack, where: Sequence[Location]) -> Stack:
+    """Return a law with the first located change of all ranges, and of the share of lost readings."""
+    size = {each.aspect: each.size.value for each in reversed(where)}
+    changes = {OFFSET: size.get(Aspect.BIAS, 0.0), LOST: -size.get(Aspect.DETECTION, 0.0)}
+    return law.at({key: law.get(key) + change for key, change in changes.items() if change})
 
 
 def _thinned(law: Stack, sample: Sample, rng: np.random.Generator) -> tuple[Sample, Ints]:

@@ -47,12 +47,11 @@ def locate(tested: Tested) -> tuple[Location, ...]:
     for group in tested.groups:
         for j, a in enumerate(group.aspects):
             for found in _steps(tested, group, j):
-                size = size_of(tested, group, j, found.regressor)
-                region = region_of(tested.regressors[found.regressor], tested.columns)
-                trifle = ASPECTS[a] is Aspect.BIAS and abs(size.value) < BIAS_TOLERANCE_M
+                place = location_of(tested, int(a), found.regressor, found.p_value)
+                trifle = ASPECTS[a] is Aspect.BIAS and abs(place.size.value) < BIAS_TOLERANCE_M
                 certain = found.p_value.at_end and not trifle
                 order = -ORDER.get(ASPECTS[a], 0) if certain else -max(ORDER.values()) - 1
-                out.append(((order, found.strength), Location(ASPECTS[a], region, size, found.p_value)))
+                out.append(((order, found.strength), place))
     places = tuple(location for _, location in sorted(out, key=lambda pair: pair[0], reverse=True))
     shifted = any(_shifts(each) for each in places)
     return tuple(each for each in places if not (shifted and each.aspect in (Aspect.SPREAD, Aspect.SKEW)))
@@ -100,7 +99,7 @@ def _most_probable(tested: Tested, group: Group, j: int, psi: Floats, index: Int
     square = total**2 / weight
     variance = float(np.median((sums**2).sum(axis=0) / weight))
     gain = square / max(variance, ROUNDING * float(square.max()))  # all clusters may agree to rounding
-    edges = np.array([_complexity(tested.regressors[i]) for i in index])
+    edges = np.array([complexity(tested.regressors[i]) for i in index])
     chosen = int(np.argmax(gain - edges * np.log(len(psi))))
     return int(index[chosen]), float(np.sqrt(gain[chosen]))
 
@@ -116,7 +115,7 @@ def _squares(tested: Tested, group: Group, j: int) -> Floats:
     return np.concatenate(parts)
 
 
-def _complexity(regressor: Regressor) -> int:
+def complexity(regressor: Regressor) -> int:
     """Return the number of edges of a region, which are estimated; a harmonic has a period and a phase."""
     return regressor.n_edges + 2 * int(regressor.phase_of_s > 0)
 
@@ -130,6 +129,13 @@ def _exposure(tested: Tested, group: Group, j: int) -> Floats:
         weight = own * group.plain_weight(column.form)[tested.units]
         parts.append(bin_sums(column, tested.cluster, weight, n, absolute=True) @ column.combine)
     return np.concatenate(parts, axis=1)
+
+
+def location_of(tested: Tested, a: int, k: int, p_value: PValue) -> Location:
+    """Return the difference of an aspect in the region of a regressor."""
+    group = next(each for each in tested.groups if a in each.aspects)
+    size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), k)
+    return Location(ASPECTS[a], region_of(tested.regressors[k], tested.columns), size, p_value)
 
 
 def size_of(tested: Tested, group: Group, j: int, k: int) -> Interval:

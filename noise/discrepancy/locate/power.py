@@ -9,18 +9,19 @@ scores in the statistic that shows it best.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acquisition import Reading
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.locate.location import TWO_SIDED, size_of
+from noise.discrepancy.locate.location import TWO_SIDED, complexity, location_of, size_of
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.moments.moments import moments
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.moments.scores import ASPECTS, ping_law, scores
-from noise.discrepancy.result import Aspect, Visible
+from noise.discrepancy.result import Aspect, Location, Visible
 from noise.discrepancy.thresholds import FALSE_ALARM
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Key, Stack
@@ -60,6 +61,37 @@ def could_have_seen(law: Stack, sample: Sample, tested: Tested, rng: np.random.G
     probe = _Probe.of(law, sample, tested, rng)
     effects = [_effect(probe, key, others, wanted) for key, others in COMMONEST]
     return (*visible_aspects(tested), *(found for found in effects if found is not None))
+
+
+def shown_by(
+    effects: Sequence[Stack], law: Stack, sample: Sample, tested: Tested, rng: np.random.Generator
+) -> tuple[Location, ...]:
+    """Return where effects show most, for a difference that no statistic shows by itself.
+
+    A test in the direction of an effect is more sensitive than one of any region. What differs is then known before
+    where it does: in the region with the greatest expected statistic, less the logarithm of the number of clusters for
+    each of its ends, as in `locate`. Its size is that of the readings. Without an effect, it is where the greatest
+    statistic is, with the p-value of that.
+
+    Args:
+        effects: the law with each of them.
+        law: of the recording without them.
+        sample: readings.
+        tested: result of the test of `law`, with the p-value of all tests.
+        rng: draws readings.
+    """
+    if tested.best is None:
+        return ()
+    if not effects:
+        a, k = ASPECTS.index(tested.best[0]), tested.best[1]
+        return (location_of(tested, a, k, tested.p_of(float(tested.z[a, k]))),)
+    probe, found = _Probe.of(law, sample, tested, rng), []
+    ends = np.array([complexity(each) for each in tested.regressors]) * np.log(len(np.unique(tested.cluster)))
+    comparable = np.isfinite(tested.z).any(axis=0)
+    for stack in effects:
+        gain = np.where(comparable, probe.expected(stack) ** 2 - ends, -np.inf)
+        found.append(tuple(int(index) for index in np.unravel_index(np.argmax(gain), gain.shape)))
+    return tuple(location_of(tested, a, k, tested.p_value) for a, k in dict.fromkeys(found))
 
 
 def visible_aspects(tested: Tested) -> tuple[Visible, ...]:
@@ -138,8 +170,12 @@ class _Probe:
 
     def strength(self, stack: Stack) -> float:
         """Return the greatest expected statistic where the recording follows another stack."""
+        return float(np.max(self.expected(stack), where=np.isfinite(self.tested.z), initial=0.0))
+
+    def expected(self, stack: Stack) -> Floats:
+        """Return the sizes of the statistics where the recording follows another stack, (A, K)."""
         shift = _scores_of(stack, self.law, self.batch, self.uniform) - self.base
-        tested, best = self.tested, 0.0
+        tested, out = self.tested, np.zeros_like(self.tested.z)
         value = np.zeros((len(tested.cluster), len(ASPECTS)))
         value[self.rows] = shift
         for group in tested.groups:
@@ -148,10 +184,8 @@ class _Probe:
             total = self.factor * np.abs(shifts.sum(axis=0)).T
             # rare events add to the sum of squares that the statistic is divided by
             square = tested.scale[group.aspects] ** 2 + self.factor * (shifts**2).sum(axis=0).T
-            z = total / np.sqrt(np.maximum(square, 1e-300))
-            allowed = np.isfinite(tested.z[group.aspects])
-            best = max(best, float(np.max(z, where=allowed, initial=0.0)))
-        return best
+            out[group.aspects] = total / np.sqrt(np.maximum(square, 1e-300))
+        return out
 
 
 def _scores_of(truth: Stack, law: Stack, batch: Batch, uniform: Floats) -> Floats:

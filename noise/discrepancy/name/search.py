@@ -64,7 +64,7 @@ class Search:
         rng: generator of the starting points.
         without: effects that are known not to differ.
         tell: called with a message and the share done.
-        is_left: whether the recording differs from a hypothesis, by the orthogonal test at a level; if not, none joins.
+        is_left: whether the recording differs from a hypothesis, by the tests at a level; if not, none joins.
         shared: effects that joined the common law.
         tried: cross-fitted hypotheses of each round, by the effects that were given and the effect that was added.
         base: the law of the simulation and the hypothesis that each round began with, by its effects.

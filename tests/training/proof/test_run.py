@@ -61,6 +61,7 @@ def test_a_finished_ledger_has_every_trial_once_and_no_two_alike(finished):
 
 def test_an_answer_is_committed_to_before_its_diagnosis_begins(tmp_path, monkeypatch):
     monkeypatch.delenv(FOLDER, raising=False)  # real recordings conceal a fact, and no answer
+
     def diagnose(files, without=()):
         sealed = [json.loads(line) for line in (tmp_path / LEDGER).read_text().splitlines()]
         committed = {line["files"]["recorded.csv"] for line in sealed if line["event"] == "sealed"}

@@ -19,7 +19,7 @@ REPEATS = CATALOGUE["stale_repeat"](probability=0.2)
 VISITS, PINGS = 80, 10
 
 
-def p_value(seed, effects=(JITTER,), placement=0.003, alternating=False, truth=None):
+def p_value(seed, effects=(JITTER,), placement=0.003, alternating=False, truth=None, known=None):
     """Return the p-value of readings of a law, or of other effects, of targets that are placed once per visit."""
     law, rng = PhysicalModel(effects), np.random.default_rng([seed, 0])
     distance = 0.4 + 0.001 * rng.choice(2100, VISITS, replace=False)
@@ -34,7 +34,8 @@ def p_value(seed, effects=(JITTER,), placement=0.003, alternating=False, truth=N
     sample = Sample.comparable(batch, None)
     own, _ = with_own_placement(Stack.of(law), sample)
     signs = signs_of(sample.cluster, np.random.default_rng([seed, 1]))
-    return directed_test(own, sample, signs, np.random.default_rng([seed, 2])).p_value.value
+    beside = None if known is None else own.at(known)
+    return directed_test(own, sample, signs, np.random.default_rng([seed, 2]), beside=beside).p_value.value
 
 
 @pytest.mark.parametrize("alternating", [False, True])
@@ -52,3 +53,9 @@ def test_a_law_that_repeats_readings_is_that_of_readings_that_it_repeats(seed, p
 def test_repeated_readings_and_an_offset_are_found():
     assert p_value(0, truth=(JITTER, REPEATS)) < 0.01
     assert p_value(0, truth=(JITTER, CATALOGUE["zero_offset"](offset_m=0.01))) < 0.01
+
+
+def test_beside_a_known_offset_only_what_else_differs_is_found():
+    offset, known = CATALOGUE["zero_offset"](offset_m=0.01), {("zero_offset", "offset_m"): 0.01}
+    assert p_value(0, truth=(JITTER, offset), known=known) > 0.01
+    assert p_value(0, truth=(JITTER, REPEATS, offset), known=known) < 0.01

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import nct
 
 from noise.discrepancy.locate.orthogonal import orthogonal_test
-from noise.discrepancy.locate.power import could_have_seen, least_mean, visible_aspects
+from noise.discrepancy.locate.power import could_have_seen, least_mean, shown_by, visible_aspects
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +43,30 @@ def test_the_least_mean_of_few_clusters_is_that_of_the_noncentral_t_law(n):
     t = critical * np.sqrt((n - 1) / (n - critical**2))
     assert nct.sf(t, n - 1, least_mean(critical, n)) == pytest.approx(0.9, abs=0.02)
     assert least_mean(critical, 10) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "aspects"),
+    [
+        ("zero_offset", {"offset_m": 0.001}, {"bias"}),
+        ("dropped_reading", {"probability": 0.01}, {"detection"}),
+        ("spike", {"probability": 0.02}, {"early", "late"}),
+        ("stale_repeat", {"probability": 0.03}, {"repeat"}),
+    ],
+)
+def test_an_effect_that_no_statistic_shows_is_where_it_acts(lab, effect, parameters, aspects):
+    sample = lab.pair(np.random.default_rng(3), {effect: parameters}, visits=100)
+    tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(0))
+    law = lab.exact.at({(effect, name): value for name, value in parameters.items()})
+    (place,) = shown_by([law], lab.exact, sample, tested, np.random.default_rng(0))
+    assert str(place.aspect) in aspects
+    assert place.region == {}
+    assert place.p_value is tested.p_value
+
+
+def test_without_a_cause_the_greatest_statistic_is_shown_with_its_own_p_value(lab):
+    sample = lab.pair(np.random.default_rng(0), visits=60)
+    tested = orthogonal_test(lab.exact, lab.exact, sample, np.random.default_rng(0))
+    (place,) = shown_by([], lab.exact, sample, tested, np.random.default_rng(0))
+    assert place.aspect is tested.best[0]
+    assert place.p_value.value == tested.p_value.value
