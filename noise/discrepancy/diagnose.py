@@ -243,7 +243,7 @@ def _different(
     """
     search, judged = _judged(data, tested, without)
     visible = _visible(data, judged.final.stack, judged.after, found)
-    if not where or not differs(tested.p_value, where):  # nothing, or trifles alone
+    if not where or (judged.believed and not differs(tested.p_value, where)):  # nothing, or trifles alone
         where = (*shown_by(*judged.apart(search), data.sample, tested, data.rng("shown")), *where)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
