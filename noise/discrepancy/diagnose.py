@@ -36,7 +36,7 @@ from noise.discrepancy.locate.stability import Stability, stability_test
 from noise.discrepancy.locate.trend import UNCOMPENSATED, compensation_is_unknown, trend_test
 from noise.discrepancy.moments.bootstrap import Found, Greatest, any_of, joint, signs_of
 from noise.discrepancy.moments.sample import Sample
-from noise.discrepancy.moments.scores import BIAS, with_own_placement
+from noise.discrepancy.moments.scores import with_own_placement
 from noise.discrepancy.name.alternatives import Place
 from noise.discrepancy.name.folds import Folds
 from noise.discrepancy.name.search import Search
@@ -149,20 +149,17 @@ def diagnose(
     wider = max(own, other, key=lambda each: each.get(PLACEMENT))
     signs = signs_of(data.sample.cluster, data.rng("signs"))
     tested = on_any_compensation(own, other, data.sample, data, "test", signs)
-    lasts = tested.length > 1
-
-    def in_directions(beside: Stack | None = None) -> Greatest:
-        lasting, drifts = bool(lasts.any()), bool(lasts[BIAS])
-        return directed_test(wider, data.sample, signs, data.rng("directed"), lasting, drifts, beside)
-
-    directed = in_directions()
+    directed = directed_test(wider, data.sample, signs, data.rng("directed"), tested)
     whole = Found(joint(Greatest(tested.p_value, tested.greatest), directed))
     found = [whole, *few_positions(own, other, data.sample, data), register_test(data.batch)]
     tested = replace(tested, p_value=any_of(*(each.p_value for each in found)))
     where = located(tested, found) if tested.p_value.value < FALSE_ALARM else ()
-    also = where and directed.p_value.value < FALSE_ALARM  # beside trifles
-    also = also and in_directions(with_trifles(wider, where)).p_value.value < FALSE_ALARM
-    if also or differs(tested.p_value, where):
+    different = differs(tested.p_value, where)
+    if not different and where and directed.p_value.value < FALSE_ALARM:  # what else is there beside trifles?
+        beside = with_trifles(wider, where)
+        also = directed_test(wider, data.sample, signs, data.rng("directed"), tested, beside)
+        different = also.p_value.value < FALSE_ALARM
+    if different:
         return _different(data, recorded, tested, where, found, tuple(without))
     return _alike(data, recorded, tested, where, _visible(data, own, tested, found))
 

@@ -24,7 +24,6 @@ from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.locate.stability import size_between, sizes
 from noise.discrepancy.moments.bootstrap import signs_of
 from noise.discrepancy.moments.sample import Sample
-from noise.discrepancy.moments.scores import BIAS
 from noise.discrepancy.name.search import Search
 from noise.discrepancy.thresholds import LEFT_LEVEL, MOVED_SHARE
 from noise.fitting.batch import Batch
@@ -101,9 +100,8 @@ class Comparing:
         tested, each = self.least_rejected(effects, law, 1)
         if tested.is_below(LEFT_LEVEL):
             return tested.p_value.value
-        lasts, signs = tested.length > 1, signs_of(each.sample.cluster, rng)
-        lasting, drifts = bool(lasts.any()), bool(lasts[BIAS])
-        directed = directed_test(each.simulated, each.sample, signs, rng, lasting, drifts, each.recorded)
+        signs = signs_of(each.sample.cluster, rng)
+        directed = directed_test(each.simulated, each.sample, signs, rng, tested, each.recorded)
         return min(tested.p_value.value, directed.p_value.value)
 
     def comparisons(self, effects: Sequence[str], law: Stack, moves: int) -> Iterator[tuple[Tested, Comparison]]:

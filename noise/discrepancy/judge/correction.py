@@ -24,7 +24,7 @@ from noise.composed import with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.baseline.recalibration import recalibrated
 from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, improves, log_score
-from noise.discrepancy.judge.judged import Judged
+from noise.discrepancy.judge.judged import Judged, taken_back
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -115,8 +115,8 @@ class Options:
             rng: grows the trees of the empirical term.
         """
         parts, with_causes, on_simulation, gain = _parts(search), None, None, False
-        stack, keys = judged.final.single.stack, search.differing(judged.believed)
-        law, without = (offered(each, step_m) for each in (stack, stack.put(keys, map(search.common.get, keys))))
+        stack = judged.final.single.stack
+        law, without = (offered(each, step_m) for each in (stack, taken_back(stack, search, judged.believed)))
         if judged.believed:
             laws = [law, *(offered(each, step_m) for each in reversed(judged.found.stacks))]
             nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))

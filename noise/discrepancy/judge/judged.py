@@ -61,12 +61,15 @@ class Judged:
     def apart(self, search: Search) -> tuple[list[Stack], Stack]:
         """Return the law with each believed cause alone, that of the greatest share first, and with none."""
         names = [cause.effect for cause in self.causes if cause.effect in self.believed]
+        others = [[other for other in names if other != name] for name in names]
+        *alone, none = (taken_back(self.final.stack, search, each) for each in (*others, names))
+        return alone, none
 
-        def without(others: Sequence[str]) -> Stack:
-            keys = search.differing(others)
-            return self.final.stack.put(keys, [search.common.get(key) for key in keys])
 
-        return [without([other for other in names if other != name]) for name in names], without(names)
+def taken_back(law: Stack, search: Search, effects: Sequence[str]) -> Stack:
+    """Return a law of the recording with some effects as the simulation has them."""
+    keys = search.differing(effects)
+    return law.put(keys, [search.common.get(key) for key in keys])
 
 
 @dataclass(eq=False)

@@ -17,11 +17,11 @@ from torch import Tensor
 
 from acquisition import Reading, previous
 from acquisition.arrays import Floats, Ints, Singles
-from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP
+from noise.discrepancy.locate.orthogonal import MIN_CLUSTERS, OVERLAP, Tested
 from noise.discrepancy.moments.bootstrap import Greatest, p_of_greatest, studentised
 from noise.discrepancy.moments.nuisance import CrossFit, basis_of, folds_of, units_of
 from noise.discrepancy.moments.sample import DISTINCT, Sample, dependence
-from noise.discrepancy.moments.scores import level_of, ping_law
+from noise.discrepancy.moments.scores import BIAS, level_of, ping_law
 from noise.discrepancy.result import Aspect, Location, PValue
 from noise.effects import CATALOGUE
 from noise.effects.state import DETECTION_WIDTH_DB
@@ -50,8 +50,7 @@ def directed_test(
     sample: Sample,
     signs: Singles,
     rng: np.random.Generator,
-    lasting: bool = False,
-    drifts: bool = True,
+    tested: Tested | None = None,
     beside: Stack | None = None,
 ) -> Greatest:
     """Test whether the recording differs from the simulation in the direction of any effect.
@@ -63,9 +62,9 @@ def directed_test(
         sample: readings; where the law is known exactly, readings drawn from it are the simulation's.
         signs: of the sample's clusters in each draw of the bootstrap, (draws, clusters).
         rng: draws readings and folds.
-        lasting: whether errors of readings last longer than a cluster. What the first pings of a visit have shown is
+        tested: test of regions of the same files, which tells whether errors of readings last longer than a cluster,
+            and errors of range do, as where the pose of a robot drifts. What the first pings of a visit have shown is
             expected of the others, so that the ratios of single pings tell how long.
-        drifts: whether errors of range do, as where the pose of a robot drifts.
         beside: law of the recording, where it is known to differ; effects with other parameters are not tested.
     """
     recorded = law if beside is None else beside
@@ -77,14 +76,15 @@ def directed_test(
     pairs = [(own.by_part(part), batch) for own, batch, part in rows]
     in_one_order = abs(both.follows_more) <= DISTINCT
     alike = [name for name in CATALOGUE if law.values.get(name) == recorded.values.get(name)]
-    tested = [name for name in alike if in_one_order or not CATALOGUE[name].remembers]
-    names, ratios = directions(law, pairs, joint_log_prob_after, tested)
+    able = [name for name in alike if in_one_order or not CATALOGUE[name].remembers]
+    names, ratios = directions(law, pairs, joint_log_prob_after, able)
     chains = sample.chains
     psi = _sums(law, both, cluster, ratios, chains.n, rng)
     valid = np.ones(ratios.shape, dtype=bool)
+    drifts = tested is None or bool(tested.length[BIAS] > 1)
     every = dependence(both, ratios, valid, cluster, chains, drifts)
-    if lasting:
-        alone = directions(law, pairs, single_log_prob_after, tested)[1]
+    if tested is not None and (tested.length > 1).any():
+        alone = directions(law, pairs, single_log_prob_after, able)[1]
         every = np.maximum(every, dependence(both, alone, valid, cluster, chains, drifts))
     z, greatest = [], []
     for length in np.unique(every):

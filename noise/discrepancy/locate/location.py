@@ -131,9 +131,14 @@ def _exposure(tested: Tested, group: Group, j: int) -> Floats:
     return np.concatenate(parts, axis=1)
 
 
+def group_of(tested: Tested, a: int) -> Group:
+    """Return the group of an aspect."""
+    return next(each for each in tested.groups if a in each.aspects)
+
+
 def location_of(tested: Tested, a: int, k: int, p_value: PValue) -> Location:
     """Return the difference of an aspect in the region of a regressor."""
-    group = next(each for each in tested.groups if a in each.aspects)
+    group = group_of(tested, a)
     size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), k)
     return Location(ASPECTS[a], region_of(tested.regressors[k], tested.columns), size, p_value)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from acquisition import Reading
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.locate.location import TWO_SIDED, complexity, location_of, size_of
+from noise.discrepancy.locate.location import TWO_SIDED, complexity, group_of, location_of
 from noise.discrepancy.locate.orthogonal import Tested
 from noise.discrepancy.moments.moments import moments
 from noise.discrepancy.moments.sample import Sample
@@ -128,8 +128,7 @@ def _aspect(tested: Tested, aspect: Aspect) -> Visible | None:
     a = ASPECTS.index(aspect)
     if not np.isfinite(tested.z[a, EVERYWHERE]):
         return None
-    group = next(g for g in tested.groups if a in g.aspects)
-    size = size_of(tested, group, int(np.flatnonzero(group.aspects == a)[0]), EVERYWHERE)
+    group, size = group_of(tested, a), location_of(tested, a, EVERYWHERE, tested.p_value).size
     mean = least_mean(_critical(tested), len(np.unique(tested.cluster[group.valid])))
     if not np.isfinite(mean):
         return None

@@ -11,6 +11,7 @@ from scipy import stats
 
 from acquisition import Reading, Recording, SettingError
 from training.diagnosis.generators import ensemble
+from training.diagnosis.generators.bursts import PAUSE_S
 from training.diagnosis.generators.ensemble import FAMILIES, catalogue_of, kinds_of, make_trial
 from training.diagnosis.generators.trial import RECORDINGS, load, save
 from training.diagnosis.generators.world import Register
@@ -36,6 +37,13 @@ def errors_mm(recording):
     return error, near.to_numpy()
 
 
+def pings_of_a_round(recording):
+    """Pings of one burst at each distance."""
+    table = recording.table
+    bursts = 1 + int((np.diff(table.time_s) > PAUSE_S).sum())
+    return len(table) // bursts * table.distance_mm.nunique()
+
+
 @pytest.mark.parametrize(("family", "kind"), PAIRS)
 def test_a_trial_has_valid_recordings_of_the_requested_size(family, kind, tmp_path):
     trial = trial_of(family, kind)
@@ -47,9 +55,10 @@ def test_a_trial_has_valid_recordings_of_the_requested_size(family, kind, tmp_pa
         assert recording.reading.echo.any()
         assert recording.run.min() == 0
     if family != "ruler":  # which may be a hasty set
-        # a burst is never cut, and its number at each distance is rounded: 1.5 becomes 1
-        fewest, most = (133, 320) if family == "bursts" else (140, 260)
-        assert fewest <= len(trial.recorded) <= most
+        if family == "bursts":  # never cut: as many at each distance as come closest to the size that was asked for
+            assert abs(len(trial.recorded) - 200) <= 0.5 * pings_of_a_round(trial.recorded)
+        if (family, kind) != ("bursts", "several"):
+            assert 140 <= len(trial.recorded) <= 260
         assert len(trial.fresh) < 0.6 * len(trial.recorded)
     assert list(trial.simulated.table.columns) == list(trial.recorded.table.columns)
     assert trial.fresh.ping.distance.tolist() == trial.fresh_again.ping.distance.tolist()
