@@ -29,6 +29,18 @@ LATENTS = 2  # numbers per path: one decides on an echo, one on its range
 
 
 @compiled
+def keys_of(episodes: Ints, sonars: Ints, count: int) -> Ints:
+    """Return the number of the episode and sonar of each path, (m,).
+
+    Args:
+        episodes: number of the episode of each car, (n,).
+        sonars: number of the sonar of each path among those of all cars, (m,).
+        count: number of sonars on a car.
+    """
+    return np.asarray(episodes[sonars // count] + sonars % count)
+
+
+@compiled
 def latents(paths: Floats, keys: Ints, lasting: float, length: float) -> Floats:
     """Return standard normal numbers for paths, (LATENTS, m).
 

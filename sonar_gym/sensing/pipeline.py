@@ -17,6 +17,7 @@ from sonar_gym.sensing.records import PingArrays
 from sonar_gym.sensing.scene import EMPTY_M
 from sonar_gym.sensing.sonar import Sonar
 
+NOTHING = np.empty((0, records.N_RECORD))  # records where no sonar has fired
 SONAR_KEYS = ("ranges", "credence", "echo", "age")
 
 
@@ -54,9 +55,8 @@ class Sensing:
         """
         p, sonar = self.pings if pings is None else pings, self.sonar
         fired = records.gather(rows, EMPTY_M, p)
-        if len(fired.car):
-            records.store(fired.car, fired.sonar, sonar.draw(rows, fired), p)
-        records.update_observation(rows, now, self._latency, sonar.edges, sonar.tables, sonar.max_range, p)
+        new = fired.car, fired.sonar, sonar.draw(rows, fired) if len(fired.car) else NOTHING
+        records.update_observation(*new, rows, now, self._latency, sonar.edges, sonar.tables, sonar.max_range, p)
 
     # ---- output ------------------------------------------------------------------------------------------------------
 

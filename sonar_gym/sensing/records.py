@@ -333,11 +333,23 @@ def cause_of(fault: float, status: float, obstacle: float, reading: float, true:
 
 @compiled
 def update_observation(
-    rows: Ints, now: Floats, latency: Floats, edges: Floats, tables: Floats, max_range: float, p: PingArrays
+    car: Ints,
+    sonar: Ints,
+    new: Floats,
+    rows: Ints,
+    now: Floats,
+    latency: Floats,
+    edges: Floats,
+    tables: Floats,
+    max_range: float,
+    p: PingArrays,
 ) -> None:
-    """Show the readings that have arrived and write the observations of some cars.
+    """Store new records, show the readings that have arrived, and write the observations of some cars.
 
     Args:
+        car: numbers of the cars of the new records, (m,).
+        sonar: numbers of their sonars, (m,).
+        new: the new records, (m, N_RECORD).
         rows: numbers of the cars, (r,).
         now: times of their observations, s, (r,); at 0 the first readings are shown at once.
         latency: latency of each sonar, s, (s,).
@@ -345,7 +357,8 @@ def update_observation(
         tables: credence given a reading, one table per sonar, (s, b).
         max_range: maximum range, m.
         p: arrays of all cars.
-    """
+    """  # fmt: skip
+    store(car, sonar, new, p)
     ranges, credence, echo, age, cause = p.ranges, p.credence, p.echo, p.age, p.cause
     for k in range(rows.shape[0]):
         i = rows[k]

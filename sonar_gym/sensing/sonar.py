@@ -23,7 +23,7 @@ from sonar_gym.sensing.laws.choose import path_law
 from sonar_gym.sensing.laws.drawn import PathPings, PathSource
 from sonar_gym.sensing.laws.numbers import Streams, mixed
 from sonar_gym.sensing.paths import MAX_OWN_PATHS
-from sonar_gym.sensing.persistence import PersistentStream, latents
+from sonar_gym.sensing.persistence import PersistentStream, keys_of, latents
 from sonar_gym.sensing.records import FiredPings
 
 SonarChoice = str | os.PathLike[str] | SonarModel
@@ -209,7 +209,7 @@ class Sonar:
         stream, held = self.rngs.of(copies, fired.counts, len(fired.owner)), self.persistence
         if held is None:
             return stream
-        keys = self._episodes[sonars // self.count] + sonars % self.count
+        keys = keys_of(self._episodes, sonars, self.count)
         return PersistentStream(stream, latents(fired.paths, keys, held.lasting, held.length_m), held)
 
     def _memory_places(self, fired: FiredPings) -> Ints:

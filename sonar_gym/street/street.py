@@ -174,7 +174,7 @@ def replaced(settings: StreetSettings, given: Any, name: str = "street") -> Stre
     given = {} if given is None else given
     check_fields(StreetSettings, given, name)
     with named(StreetSettings, name):
-        return replace(settings, **given)
+        return replace(settings, **given) if given else settings
 
 
 def check_gap(gap: float, car: CarSettings) -> None:

@@ -78,6 +78,12 @@ def test_fields_of_the_street_are_replaced():
     assert env.street.settings.gap == LEVELS["hard"].gap
 
 
+def test_settings_that_nothing_replaces_are_not_checked_again():
+    env = SonarParkingEnv(difficulty="hard")
+    env.reset(seed=0)
+    assert env.street.settings is env.fleet.street_settings
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
