@@ -37,16 +37,13 @@ from acquisition.io.columns import (
     valid_rows,
 )
 from acquisition.io.files import write_atomic
+from acquisition.io.grid import ROUNDED_MM, shifted_step, step_of
 from acquisition.io.parquet import SUFFIX, is_parquet, read_parquet, write_parquet
 from acquisition.io.tables import read_bytes
 from acquisition.limits import as_numbers, check_value, is_list, shown
 from acquisition.ping import EchoStatus, Ping, Reading, check_pairs, interval
 
 MM, DEG = 1e-3, np.pi / 180.0
-COMMON_MM = (25.4, 10.0)  # inch output and cm output
-ROUNDED_MM = 0.5  # half of the step of readings in whole mm, the most common ones
-LOGGED_MM = 0.051  # half of the step of readings written to 0.1 mm, and the error of their sums
-MAX_CHANCE = 1e-4  # probability of a coincidental grid below which a grid is accepted; chosen here
 
 
 def unfinished_path(path: Path) -> Path:
@@ -287,8 +284,8 @@ class Recording:
         """
         reading_mm, distance_mm = (value[self.reading.echo] / MM for value in (self.reading.range, self.ping.distance))
         echo_mm = np.unique(reading_mm)
-        step = _step_of(echo_mm, np.unique(self.ping.distance / MM))
-        shifted = None if len(echo_mm) < 2 else _shifted_step(reading_mm, distance_mm, step or 2.0 * ROUNDED_MM)
+        step = step_of(echo_mm, np.unique(self.ping.distance / MM))
+        shifted = None if len(echo_mm) < 2 else shifted_step(reading_mm, distance_mm, step or 2.0 * ROUNDED_MM)
         if shifted is None:
             return (MM if step is None else step * MM), 0.0
         return shifted * MM, -(-float(echo_mm[0]) % shifted) * MM
@@ -305,72 +302,6 @@ class Recording:
 def _is_column(value: Any, n: int) -> bool:
     is_flat = value.ndim == 1 if isinstance(value, np.ndarray | pd.Series) else is_list(value)
     return is_flat and len(value) == n
-
-
-def _step_of(echo_mm: NDArray[np.float64], distance_mm: NDArray[np.float64]) -> float | None:
-    """Return the step of which all sorted distinct readings are multiples, mm; None where there is none."""
-    common = next((step for step in COMMON_MM if len(echo_mm) and _on_grid(echo_mm, step, LOGGED_MM)), None)
-    found = _other_step(echo_mm) if common is None else common * _common_divisor(np.rint(echo_mm / common))
-    placed = found is not None and _on_grid(distance_mm, found, LOGGED_MM)
-    return common if found is None or placed else found
-
-
-def _shifted_step(reading_mm: NDArray[np.float64], distance_mm: NDArray[np.float64], finer_mm: float) -> float | None:
-    """Return the step of which all differences of readings are multiples, mm; None where there is none.
-
-    A shifted grid may begin anywhere, so that a common step must be improbable as a coincidence too, for readings that
-    lie on a finer grid anyway. Where the targets stand on such a grid themselves, only different readings of one target
-    tell of the sensor's.
-    """
-    beyond, apart = np.unique(reading_mm - reading_mm.min()), np.unique(distance_mm - distance_mm.min())
-    step = _step_of(beyond, apart)
-    if step is None:
-        return None
-    different = np.unique(np.stack([distance_mm, reading_mm]), axis=1).shape[1]
-    coincidences = different - len(apart) if _on_grid(apart, step, LOGGED_MM) else len(beyond) - 1
-    return step if (finer_mm / step) ** float(coincidences) < MAX_CHANCE else None
-
-
-def _on_grid(value: NDArray[np.float64], step: float, tolerance: float) -> bool:
-    """Return whether values are multiples of a step, within a tolerance."""
-    return bool(np.all(np.abs(value - np.rint(value / step) * step) < tolerance))
-
-
-def _common_divisor(count: NDArray[np.float64]) -> int:
-    """Return the greatest common divisor of distinct whole numbers; 1 where it may be a coincidence."""
-    divisor = max(1, int(np.gcd.reduce(count.astype(np.int64))))
-    return divisor if divisor ** -(len(count) - 1.0) < MAX_CHANCE else 1
-
-
-def _other_step(value: NDArray[np.float64]) -> float | None:
-    """Return the step of which all sorted distinct values, mm, are multiples; None where it may be a coincidence.
-
-    Values in whole millimetres are multiples of a whole number, or may have been rounded after the quantisation; the
-    tolerance is then 0.6 mm.
-    """
-    if len(value) < 2:
-        return None
-    rounded = _on_grid(value, 1.0, 1e-6)
-    if rounded and (divisor := _common_divisor(np.rint(value))) > 1:
-        return float(divisor)
-    min_step, tolerance = (10.0, 0.6) if rounded else (2.0, LOGGED_MM)
-    gaps = np.diff(value)
-    gap = float(gaps[gaps < 1.5 * gaps.min() + 1e-9].mean())  # between grid neighbours; rounding errors cancel
-    for step in (_refine_step(value, gap / k) for k in (1, 2, 3) if gap / k >= min_step - tolerance):
-        chance = (2.0 * tolerance / max(step, min_step)) ** (len(value) - 1)  # one gap determined the step
-        if step >= min_step and chance < MAX_CHANCE and _on_grid(value, step, tolerance):
-            return step
-    return None
-
-
-def _refine_step(value: NDArray[np.float64], step: float) -> float:
-    """Fit the step by recursive least squares to multiples of increasing size, which each update makes countable."""
-    product = square = 0.0
-    for multiple in value:
-        count = np.rint(multiple / step)
-        product, square = product + count * multiple, square + count**2
-        step = product / square if square > 0 else step
-    return float(step)
 
 
 def _is_complete_number(column: pd.Series) -> bool:

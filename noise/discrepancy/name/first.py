@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from acquisition.arrays import Floats
+from acquisition.io.grid import greatest_step
 from noise.discrepancy.locate.few import COARSER
 from noise.discrepancy.name.candidates import DESIGN
 from noise.discrepancy.name.folds import Folds
@@ -21,7 +22,6 @@ from noise.fitting.starts import nuisance_starts, starting_points
 
 REGISTERS, STEP = ("quantisation", "truncation"), "step_m"
 THRESHOLD = "sensitivity"  # without it nothing that weakens an echo can silence it
-ROUNDING = 1e-6  # relative, of half a step
 FEW_MISSED = 0.005  # share of silent pings below which no threshold shows; chosen here
 
 
@@ -78,15 +78,8 @@ def coarsest(batch: Batch) -> float:
     value = np.unique(batch.reading.range[batch.reading.echo]) - batch.origin
     if batch.grid_m <= 0.0 or len(value) < 2:
         return 0.0
-    half = 0.5 * batch.grid_m * (1.0 + ROUNDING)
-    # no step is greater than the least difference, and none as fine as the register is sought
-    fewest, most = (value[-1] / each for each in (np.diff(value).min() + batch.grid_m, COARSER * batch.grid_m))
-    for count in np.arange(np.ceil(fewest), most):
-        index = np.maximum(np.rint(value * count / value[-1]), 1.0)
-        low, high = float(((value - half) / index).max()), float(((value + half) / index).min())
-        if low <= high:
-            return 0.5 * (low + high)
-    return batch.grid_m
+    step = greatest_step(value, 0.5 * batch.grid_m, COARSER * batch.grid_m)
+    return batch.grid_m if step is None else step
 
 
 def with_threshold(search: Fits, current: Hypothesis) -> Hypothesis:

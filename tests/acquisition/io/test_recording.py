@@ -116,7 +116,7 @@ def test_the_grid_of_the_readings_is_found(step, expected):
     assert recording.resolution == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("step", [12.7, 17.24, 24.287, 43.0])
+@pytest.mark.parametrize("step", [2.6, 3.43, 4.3, 6.86, 12.7, 17.24, 24.287, 43.0])
 def test_another_grid_is_found_although_the_log_rounds_to_millimetres(step):
     rng = np.random.default_rng(1)
     reading = np.rint(np.rint(rng.uniform(300, 5000, 300) / step) * step)
