@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from acquisition import Ping, Recording
 from acquisition.ping import RANGE_RATE
 
+MIN_BLOCK = 3.0  # mean number of consecutive pings of one condition from which a return to it is another visit
 VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
 MIN_VISITS = 8  # with fewer, no bootstrap over visits means anything, and each is cut into visits of `VISIT_PINGS`
 
@@ -30,9 +31,10 @@ def movement(recording: Recording) -> NDArray[np.float64]:
 
 
 def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return condition and visit (one condition in one run) of each ping, (n,) each.
+    """Return condition and visit (consecutive pings of one condition in one run) of each ping, (n,) each.
 
-    Where conditions hardly repeat or hardly change, each run is cut into visits of `VISIT_PINGS` pings instead.
+    Where single pings of several conditions alternate, all pings of one condition in one run are a visit. Where
+    conditions hardly repeat or hardly change, each run is cut into visits of `VISIT_PINGS` pings instead.
     """
     n = len(recording)
     pair = np.unique(np.stack([recording.condition, recording.run], axis=1), axis=0, return_inverse=True)[1].ravel()
@@ -40,7 +42,8 @@ def visits_of(recording: Recording) -> tuple[NDArray[np.int64], NDArray[np.int64
     if is_moving(recording):
         visit = _consecutive(recording.run)
         return visit, visit
-    visit = pair
+    block = np.cumsum(np.r_[False, np.diff(pair) != 0])
+    visit = block if n >= MIN_BLOCK * (block[-1] + 1) else pair
     if len(np.unique(pair)) < MIN_VISITS:
         visit = np.unique(pair * (n + 1) + _consecutive(pair), return_inverse=True)[1]
     condition = recording.condition if len(pings_each) >= MIN_VISITS else visit

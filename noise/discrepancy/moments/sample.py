@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import f_oneway, ks_2samp
+from scipy.stats import beta, ks_2samp
+from scipy.stats import f as fisher
 
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
@@ -25,6 +27,9 @@ STILL_M = 1e-3  # change of distance between pings below which a target is stati
 ROUNDING_M = 1e-9  # of logged distances
 MIN_MOVED = 0.2  # share of a file among movements so great or so small, which m(x) does not allow for
 MIN_OVERLAP = 0.05  # share of a file among comparable pings; with less there is nothing to compare
+MIN_POSITIONS = 3  # with an error each, to tell whether they have one of their own
+LEAST_VARIANCE = 1e-10  # m^2, of a mean error: visits may agree to a step of the register
+ROBUST = 20  # rounds of a fit of least absolute errors
 MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
 
 
@@ -117,7 +122,7 @@ class Sample:
 
     @cached_property
     def _clusters(self) -> tuple[Ints, Chains]:
-        keys, chains = [], []
+        keys, chains, held = [], [], stay_in_place(self.batches)
         for k, batch in enumerate(self.batches):
             at, continuous = positions(batch), is_continuous(batch)
             chain = np.zeros(batch.n_visits) if continuous else np.arange(batch.n_visits)
@@ -125,7 +130,7 @@ class Sample:
             chains.append(np.c_[np.full(batch.n_visits, k), chain, place])
             table = pd.DataFrame(at)
             nth = table.groupby(list(table.columns)).cumcount().to_numpy()
-            if stays_in_place(batch):
+            if held:
                 nth = np.zeros_like(nth)
             elif continuous:  # of this file alone
                 at, nth = np.full_like(at, float(k)), np.arange(batch.n_visits)
@@ -198,24 +203,66 @@ def positions(batch: Batch) -> Floats:
     return np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1)[batch.starts], 6)
 
 
-def stays_in_place(batch: Batch) -> bool:
-    """Return whether visits of one position share an error that other positions do not have.
+def stay_in_place(batches: Sequence[Batch]) -> bool:
+    """Return whether visits of one position share an error, as where a target is placed once for several series.
 
-    The F test of a one-way analysis of variance of mean errors, after a line in distance is subtracted, rejects at the
-    5 % level. A target that is placed once for several series has one error in all of them.
+    What the sonar reads wrong at a position is no such error: both files have it. So the differences between the files
+    at shared positions are looked at, or where these are too few, the errors of each file.
+    """
+    if any(map(moves, batches)):
+        return False
+    files = [found for batch in batches if (found := _by_position(batch)) is not None]
+    if len(files) == 2:
+        own, other = (each.loc[files[0].index.intersection(files[1].index)] for each in files)
+        if len(own) >= MIN_POSITIONS:
+            return _scatter(
+                own["mean"] - other["mean"], own.variance + other.variance, min(own.again.max(), other.again.max())
+            )
+    return any(_scatter(each["mean"], each.variance, each.again.max()) for each in files)
+
+
+def _by_position(batch: Batch) -> pd.DataFrame | None:
+    """Return the mean error at each position, m, and its variance, m^2, by the scatter of visits of one position.
+
+    `again` is the number of visits from which that scatter is known, those beyond the first of each position; None
+    without any.
     """
     echo = batch.is_target(batch.error)
     count = np.bincount(batch.visit, echo)
     heard = count > 0
-    place = np.unique(positions(batch)[heard], axis=0, return_inverse=True)[1].ravel()
-    repeats = np.bincount(place)
-    if len(repeats) < 3 or repeats.max() < 2:
-        return False
     mean = np.bincount(batch.visit, winsorised(np.where(echo, batch.error, 0.0)))[heard] / count[heard]
-    distance = batch.ping.distance[batch.starts][heard]
-    if np.ptp(distance) > 0:
-        mean = mean - np.polyval(np.polyfit(distance, mean, 1), distance)
-    return bool(f_oneway(*(mean[place == k] for k in range(len(repeats)))).pvalue < 0.05)
+    by = pd.Series(mean).groupby([pd.Series(column) for column in positions(batch)[heard].T])
+    again = int(heard.sum()) - by.ngroups
+    if again == 0:
+        return None
+    variance = float(((mean - by.transform("mean")) ** 2).sum()) / again
+    return pd.DataFrame({"mean": by.mean(), "variance": variance / by.size(), "again": again})
+
+
+def _scatter(error: pd.Series, variance: pd.Series, again: int) -> bool:
+    """Return whether errors at positions, less a linear function of these, scatter more than their variance, at 1 %.
+
+    The median of their squares is compared, which does not see what is otherwise at some positions alone. The rank of
+    the median of n values has a Beta distribution.
+
+    Args:
+        error: at each position, m.
+        variance: of each error, m^2.
+        again: degrees of freedom of the variance.
+    """
+    x = np.abs(np.array(error.index.to_list()))
+    line = np.stack([np.ones(len(x)), *((c - c.mean()) / c.std() for c in x.T if np.ptp(c) > 0)], axis=1)
+    free = len(x) - int(np.linalg.matrix_rank(line))
+    if free < MIN_POSITIONS:
+        return False
+    size, weight = np.ones(len(x)), 1.0 / np.sqrt(np.maximum(variance.to_numpy(), LEAST_VARIANCE))
+    for _ in range(ROBUST):  # least absolute errors, by weights
+        w = weight / np.sqrt(size)
+        fit = np.linalg.lstsq(w[:, None] * line, w * error.to_numpy(), rcond=None)[0]
+        left = weight * (error.to_numpy() - line @ fit)
+        size = np.maximum(np.abs(left), 1e-3)
+    expected = fisher.ppf(beta.ppf(0.99, 0.5 * free, 0.5 * free), 1, again)
+    return bool(np.median(left**2) * len(x) / free > expected)
 
 
 def condition_columns(batch: Batch) -> dict[str, Floats]:
