@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import beta, ks_2samp
 from scipy.stats import f as fisher
+from scipy.stats import ks_2samp
 
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
@@ -30,6 +30,7 @@ MIN_OVERLAP = 0.05  # share of a file among comparable pings; with less there is
 MIN_POSITIONS = 3  # with an error each, to tell whether they have one of their own
 LEAST_VARIANCE = 1e-10  # m^2, of a mean error: visits may agree to a step of the register
 ROBUST = 20  # rounds of a fit of least absolute errors
+FAR = 4.0  # standard errors from it
 MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
 
 
@@ -211,39 +212,34 @@ def stay_in_place(batches: Sequence[Batch]) -> bool:
     """
     if any(map(moves, batches)):
         return False
-    files = [found for batch in batches if (found := _by_position(batch)) is not None]
-    if len(files) == 2:
-        own, other = (each.loc[files[0].index.intersection(files[1].index)] for each in files)
-        if len(own) >= MIN_POSITIONS:
-            return _scatter(
-                own["mean"] - other["mean"], own.variance + other.variance, min(own.again.max(), other.again.max())
-            )
-    return any(_scatter(each["mean"], each.variance, each.again.max()) for each in files)
+    files = [_at_positions(batch) for batch in batches]
+    again = sum(len(each) - each.index.nunique() for each in files)  # visits that tell of the scatter at a position
+    if not again:
+        return False
+    by = [each.groupby(level=[*range(each.index.nlevels)]) for each in files]
+    scatter = sum(float(((e - g.transform("mean")) ** 2).sum()) for e, g in zip(files, by, strict=True)) / again
+    means, counts = [each.mean() for each in by], [each.size() for each in by]
+    shared = means[0].index.intersection(means[-1].index)
+    if len(batches) == 2 and len(shared) >= MIN_POSITIONS:
+        difference = means[0][shared] - means[1][shared]
+        return _scatter(difference, scatter * (1.0 / counts[0][shared] + 1.0 / counts[1][shared]), again)
+    return any(_scatter(mean, scatter / count, again) for mean, count in zip(means, counts, strict=True))
 
 
-def _by_position(batch: Batch) -> pd.DataFrame | None:
-    """Return the mean error at each position, m, and its variance, m^2, by the scatter of visits of one position.
-
-    `again` is the number of visits from which that scatter is known, those beyond the first of each position; None
-    without any.
-    """
+def _at_positions(batch: Batch) -> pd.Series:
+    """Return the mean error of each visit that is heard, m, by its position."""
     echo = batch.is_target(batch.error)
     count = np.bincount(batch.visit, echo)
     heard = count > 0
     mean = np.bincount(batch.visit, winsorised(np.where(echo, batch.error, 0.0)))[heard] / count[heard]
-    by = pd.Series(mean).groupby([pd.Series(column) for column in positions(batch)[heard].T])
-    again = int(heard.sum()) - by.ngroups
-    if again == 0:
-        return None
-    variance = float(((mean - by.transform("mean")) ** 2).sum()) / again
-    return pd.DataFrame({"mean": by.mean(), "variance": variance / by.size(), "again": again})
+    return pd.Series(mean, index=pd.MultiIndex.from_arrays(list(positions(batch)[heard].T)))
 
 
 def _scatter(error: pd.Series, variance: pd.Series, again: int) -> bool:
-    """Return whether errors at positions, less a linear function of these, scatter more than their variance, at 1 %.
+    """Return whether errors at positions, less a linear function of these, scatter more than their variance, at 5 %.
 
-    The median of their squares is compared, which does not see what is otherwise at some positions alone. The rank of
-    the median of n values has a Beta distribution.
+    Some positions may differ by much more: what is far from a fit of least absolute errors is left out, if it is less
+    than half of all.
 
     Args:
         error: at each position, m.
@@ -261,8 +257,11 @@ def _scatter(error: pd.Series, variance: pd.Series, again: int) -> bool:
         fit = np.linalg.lstsq(w[:, None] * line, w * error.to_numpy(), rcond=None)[0]
         left = weight * (error.to_numpy() - line @ fit)
         size = np.maximum(np.abs(left), 1e-3)
-    expected = fisher.ppf(beta.ppf(0.99, 0.5 * free, 0.5 * free), 1, again)
-    return bool(np.median(left**2) * len(x) / free > expected)
+    near = np.abs(left) < FAR
+    if 2 * near.sum() < len(x):
+        return True
+    free -= int((~near).sum())
+    return free > 0 and bool(fisher.sf(float((left[near] ** 2).sum()) / free, free, again) < 0.05)
 
 
 def condition_columns(batch: Batch) -> dict[str, Floats]:

@@ -32,6 +32,13 @@ def test_a_visit_is_one_condition_in_one_session():
     assert set(np.bincount(batch.visit)) == {2}
 
 
+def test_a_return_to_a_position_is_another_visit_unless_single_pings_alternate():
+    places = np.linspace(0.5, 3, 10)
+    rounds, alternating = np.tile(np.repeat(places, 5), 3), np.tile(places, 15)
+    assert Batch.of(recording_of(rounds, rounds)).n_visits == 30
+    assert Batch.of(recording_of(alternating, alternating)).n_visits == 10
+
+
 def test_thinning_retains_the_beginning_of_every_visit():
     distance = np.repeat(np.linspace(0.5, 3, 20), 30)
     batch = Batch.of(recording_of(distance, distance))

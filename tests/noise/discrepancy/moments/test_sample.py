@@ -9,7 +9,7 @@ from acquisition import Ping, Reading, Recording
 from noise.discrepancy.locate.directed import directed_test
 from noise.discrepancy.locate.orthogonal import orthogonal_test
 from noise.discrepancy.moments.bootstrap import signs_of
-from noise.discrepancy.moments.sample import Sample, condition_columns
+from noise.discrepancy.moments.sample import Sample, condition_columns, stay_in_place
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
 
@@ -123,6 +123,28 @@ def test_files_share_their_clusters_where_every_position_is_visited_once():
     for place in np.unique(recorded.ping.distance):
         at = [batch.ping.distance == place for batch in sample.batches]
         assert len(np.unique(sample.cluster[np.concatenate(at)])) == 1
+
+
+def rounds(rng, physics, changed, held):
+    """Return three rounds over 25 positions with an error of the sonar at each, and placements anew or once for all."""
+    d, a = (x.ravel() for x in np.meshgrid(np.linspace(0.6, 3.0, 5), np.radians([0.0, 6.0, 9.0, 15.0, 20.0])))
+    error = physics - 0.03 * changed * (a == a[10])
+    order = np.concatenate([rng.permutation(25) for _ in range(3)])
+    placed = rng.normal(0.0, 0.002, 25)[order] if held else rng.normal(0.0, 0.002, 75)
+    k = np.repeat(order, 10)
+    reading = d[k] + error[k] + np.repeat(placed, 10) + rng.normal(0.0, 0.003, len(k))
+    return Batch.of(Recording.of(Ping.of(distance=d[k], angle=a[k]), Reading.of(np.round(reading, 3))))
+
+
+@pytest.mark.parametrize("held", [(False, False), (True, False), (True, True)])
+@pytest.mark.parametrize("changed", [False, True])
+def test_what_a_sonar_reads_wrong_at_a_position_is_no_target_that_stays_in_place(changed, held):
+    found = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        physics = rng.normal(0.0, 0.006, 25)
+        found += stay_in_place([rounds(rng, physics, changed, held[0]), rounds(rng, physics, False, held[1])])
+    assert found >= 15 if any(held) else found <= (8 if changed else 3)
 
 
 def test_a_logged_column_does_not_hide_a_condition_of_its_name():
