@@ -6,8 +6,8 @@ model. A correction is offered only if its CRPS is less than that of the user's 
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
 than what small changes of the range gain. Causes that predict better than the law without them, in the CRPS and in the
-log score, and an empirical term that predicts better beyond chance than the law without it and than the model that
-stands for the simulation, need only do no harm (`improves`).
+log score, an empirical term that predicts better beyond chance than the law without it and than the model that stands
+for the simulation, and causes that do on this model, whose own errors cancel, need only do no harm (`improves`).
 """
 
 from __future__ import annotations
@@ -142,9 +142,8 @@ class Options:
             best = self.forest
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
-            term = self.with_term
-            found = term is not None and term.beats(before.model)
-            sure = [self.with_causes if self.causes_gain else None, term if found else None]
+            found = [each for each in (self.on_simulation, self.with_term) if each and each.beats(before.model)]
+            sure = [self.with_causes if self.causes_gain else None, *found]
             better = [each for each in sure if each is not None and _improves_on(before, each)]
             offered = min(better, key=lambda option: option.crps, default=None)
         return None if offered is None else offered.model
