@@ -72,6 +72,18 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     assert Options(unlucky, None, None, worse, False, WITHOUT).corrected(before) is None
 
 
+@pytest.mark.parametrize(("offset_m", "offered_"), [(0.03, True), (-0.03, False)])
+def test_what_a_model_misses_of_the_simulation_does_not_hide_causes_that_surely_gain_on_it(parts, offset_m, offered_):
+    """Both the model and the causes on it miss the same, however uncertain it is how much that is."""
+    seen, forest = parts[1], parts[2]
+    before = Simulation(model_of(LOUD), excess=(0.0, 10.0))
+    on_it = option(model_of({**MOVED, "zero_offset": {"offset_m": offset_m}}), seen)
+    assert not before.is_beaten(*on_it.scored)
+    worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * crps) for b, crps in forest.score(tolerance)[1:]))
+    found = Options(None, None, on_it, worse, False, WITHOUT).corrected(before)
+    assert found is (on_it.model if offered_ else None)
+
+
 def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
     """It predicts better beyond chance than the law that it corrects, and no better than what is known to be so."""
     unseen, seen, forest = parts
