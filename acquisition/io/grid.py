@@ -69,22 +69,29 @@ def _other_step(value: Floats) -> float | None:
 
 
 def _rounded_step(value: Floats) -> float | None:
-    """Return the step of which all sorted distinct whole numbers are rounded multiples; None for a coincidence."""
-    step = greatest_step(value, ROUNDED_MM, FINEST_MM)
+    """Return the step of which all sorted distinct whole numbers are rounded multiples; None for a coincidence.
+
+    Those that begin with 0 are differences from the least reading, which was rounded too.
+    """
+    both = 1.0 if value[0] > 0.0 else 2.0
+    rounded, finest = both * ROUNDED_MM, both * FINEST_MM
+    step = greatest_step(value[value > 0.0], rounded, finest)
     if step is None:
         return None
-    tried = value[-1] / FINEST_MM  # at most: each is another number of steps to the greatest value
-    return step if tried * (2.0 * ROUNDED_MM / step) ** (len(value) - 1) < MAX_CHANCE else None
+    tried = value[-1] / finest  # at most: each is another number of steps to the greatest value
+    return step if tried * (2.0 * rounded / step) ** (len(value) - 1) < MAX_CHANCE else None
 
 
 def greatest_step(value: Floats, rounded: float, finest: float) -> float | None:
-    """Return the greatest step, at least `finest`, of which all sorted distinct values are rounded multiples, or None.
+    """Return the greatest step of which all sorted distinct positive values are rounded multiples; None without one.
 
     Args:
-        value: the values.
+        value: the values; of fewer than two, nothing follows.
         rounded: greatest error of the rounding.
         finest: least step.
     """
+    if len(value) < 2:
+        return None
     error = rounded * (1.0 + ROUNDING)
     # no step is greater than the least difference
     fewest, most = value[-1] / (np.diff(value).min() + 2.0 * rounded), value[-1] / finest

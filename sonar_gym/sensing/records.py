@@ -357,7 +357,7 @@ def update_observation(
         tables: credence given a reading, one table per sonar, (s, b).
         max_range: maximum range, m.
         p: arrays of all cars.
-    """  # fmt: skip
+    """
     store(car, sonar, new, p)
     ranges, credence, echo, age, cause = p.ranges, p.credence, p.echo, p.age, p.cause
     for k in range(rows.shape[0]):

@@ -142,8 +142,8 @@ class Options:
             best = self.forest
         offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
         if offered is None:
-            found = [each for each in (self.on_simulation, self.with_term) if each and each.beats(before.model)]
-            sure = [self.with_causes if self.causes_gain else None, *found]
+            found = [each for each in (self.on_simulation, self.with_term) if each is not None]
+            sure = [self.with_causes if self.causes_gain else None, *(o for o in found if o.beats(before.model))]
             better = [each for each in sure if each is not None and _improves_on(before, each)]
             offered = min(better, key=lambda option: option.crps, default=None)
         return None if offered is None else offered.model

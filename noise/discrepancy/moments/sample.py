@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import f as fisher
 from scipy.stats import ks_2samp
+from sklearn.linear_model import QuantileRegressor
 
 from acquisition import Ping
 from acquisition.arrays import Bits, Floats, Ints
@@ -29,8 +30,7 @@ MIN_MOVED = 0.2  # share of a file among movements so great or so small, which m
 MIN_OVERLAP = 0.05  # share of a file among comparable pings; with less there is nothing to compare
 MIN_POSITIONS = 3  # with an error each, to tell whether they have one of their own
 LEAST_VARIANCE = 1e-10  # m^2, of a mean error: visits may agree to a step of the register
-ROBUST = 20  # rounds of a fit of least absolute errors
-FAR = 4.0  # standard errors from it
+FAR = 4.0  # standard errors from a fit of least absolute errors; chosen here
 MAX_CLUSTERS = 1500  # more do not improve the variance estimates; neighbours in time are merged
 
 
@@ -251,12 +251,9 @@ def _scatter(error: pd.Series, variance: pd.Series, again: int) -> bool:
     free = len(x) - int(np.linalg.matrix_rank(line))
     if free < MIN_POSITIONS:
         return False
-    size, weight = np.ones(len(x)), 1.0 / np.sqrt(np.maximum(variance.to_numpy(), LEAST_VARIANCE))
-    for _ in range(ROBUST):  # least absolute errors, by weights
-        w = weight / np.sqrt(size)
-        fit = np.linalg.lstsq(w[:, None] * line, w * error.to_numpy(), rcond=None)[0]
-        left = weight * (error.to_numpy() - line @ fit)
-        size = np.maximum(np.abs(left), 1e-3)
+    weight = 1.0 / np.sqrt(np.maximum(variance.to_numpy(), LEAST_VARIANCE))
+    line, value = weight[:, None] * line, weight * error.to_numpy()
+    left = value - QuantileRegressor(alpha=0.0, fit_intercept=False).fit(line, value).predict(line)
     near = np.abs(left) < FAR
     if 2 * near.sum() < len(x):
         return True

@@ -124,6 +124,15 @@ def test_another_grid_is_found_although_the_log_rounds_to_millimetres(step):
     assert recording.resolution == pytest.approx(step / 1000, rel=2e-3)
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from([4.3, 6.86, 12.7, 17.24, 25.4]), st.floats(-0.45, 0.45), st.integers(0, 2**31))
+def test_a_grid_that_a_constant_moves_is_found_although_the_log_rounds_to_millimetres(step, share, seed):
+    rng = np.random.default_rng(seed)
+    reading = np.rint(np.rint(rng.uniform(300, 5000, 300) / step) * step + share * step)
+    recording = Recording.of(Ping.of(rng.uniform(0.3, 5.0, 300)), Reading.of(reading / 1000))
+    assert recording.resolution == pytest.approx(step / 1000, rel=2e-3)
+
+
 def test_four_values_on_a_grid_are_enough_unless_the_target_is_on_it():
     step = 5.517242
     reading = np.resize(np.arange(180, 184) * step, 60) / 1000
