@@ -165,14 +165,19 @@ class Trees(Schema):
     right: list[int]
 
 
-class Similar(Schema):
-    """See `noise.discrepancy.baseline.similarity.Similarity`."""
+class Leaves(Schema):
+    """See `noise.discrepancy.baseline.similarity.Leaves`."""
 
     names: Annotated[list[str], MinLen(1)]
     times: tuple[float, float]
     typical: Numbers
-    leaf: Annotated[list[list[int]], MinLen(1)]
     trees: Trees
+
+
+class Similar(Leaves):
+    """See `noise.discrepancy.baseline.similarity.Similarity`."""
+
+    leaf: Annotated[list[list[int]], MinLen(1)]
 
 
 class Forest(Registered, Similar):
@@ -233,15 +238,18 @@ class Composed(Kind):
     after: Effects
 
 
-class Recalibrated(Kind, Similar):
-    """See `noise.discrepancy.baseline.recalibration.Recalibrated`."""
+class Boosted(Leaves):
+    """See `noise.discrepancy.baseline.adjusted.Boosted`."""
 
-    kind: Literal["recalibrated"]
+    value: Numbers
+
+
+class Adjusted(Kind):
+    """See `noise.discrepancy.baseline.adjusted.Adjusted`."""
+
+    kind: Literal["adjusted"]
     model: Model
-    low: Numbers
-    high: Numbers
-    error: Numbers
-    share: Share
+    parts: dict[Literal["shift", "spread", "lost", "gained"], Boosted]
 
 
 class Replay(Kind):
@@ -275,14 +283,14 @@ Model = Annotated[
     | Composed
     | Replay
     | Transport
-    | Recalibrated,
+    | Adjusted,
     Field(discriminator="kind"),
 ]
 Faulty.model_rebuild()
 Composed.model_rebuild()
 Replay.model_rebuild()
 Transport.model_rebuild()
-Recalibrated.model_rebuild()
+Adjusted.model_rebuild()
 
 
 class Credence(Schema):

@@ -33,7 +33,7 @@ KINDS = {
     "physical": ("noise.physical", "PhysicalModel"),
     "empirical": ("noise.fitting.empirical", "EmpiricalModel"),
     "forest": ("noise.discrepancy.baseline.forest", "AnalogueForest"),
-    "recalibrated": ("noise.discrepancy.baseline.recalibration", "Recalibrated"),
+    "adjusted": ("noise.discrepancy.baseline.adjusted", "Adjusted"),
     "beam": ("noise.beam", "BeamModel"),
     "table": ("noise.table", "TableModel"),
     "mlp": ("noise.learned.networks", "MlpModel"),
@@ -90,7 +90,7 @@ def _of_kind(folder: Path, data: Any) -> SonarModel:
         raise ModelError(f"{folder / 'model.json'}: the model is of kind {kind!r}, expected {', '.join(KINDS)}")
     module, attribute = KINDS[kind]
     cls = getattr(importlib.import_module(module), attribute)
-    if kind in ("faulty", "composed", "replay", "transport", "recalibrated"):
+    if kind in ("faulty", "composed", "replay", "transport", "adjusted"):
         return cls.load(folder, data, _of_kind)
     return cls.load(folder, data) if hasattr(cls, "load") else cls.from_dict(data)
 

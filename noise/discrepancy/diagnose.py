@@ -16,16 +16,16 @@ from acquisition.arrays import Singles
 from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
-from noise.discrepancy.baseline.recalibration import recalibrated
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.accepted import Comparing, Comparison
-from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.correction import Options, offered, shared_law
 from noise.discrepancy.judge.difference import WORSE, difference, is_carried, worsens
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
+from noise.discrepancy.judge.term import Term, term_of
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test, with_trifles
 from noise.discrepancy.locate.few import COARSER, placement_test, register_test, share_test, within_test
@@ -244,7 +244,8 @@ def _different(
         where = (*shown_by(*judged.apart(search), data.sample, tested, data.rng("shown")), *where)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
-    options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, data.rng("term"))
+    term = empirical_term(data, search, judged)
+    options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, term)
     corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)
@@ -257,7 +258,7 @@ def _different(
     acting, left_out = difference(judged, search, options, emulator, step_m)
     if acting is not None and worsens(acting, data.simulation, data.folds.unseen, data.rng("acting")):
         acting, left_out = None, dict.fromkeys(judged.believed, WORSE)
-    carrying = transport(data, options, corrected, acting)
+    carrying = transport(data, search, options, corrected, acting)
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     likely = {p.effect: p.likely for p in judged.places}
     return replace(diagnosis, difference=acting, left_out=left_out, evidence=judged.evidence, likely=likely)
@@ -277,24 +278,30 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     return search, judge(rest, none, found, tested.p_value, comparing, partial(steady, data, search), data.rng("judge"))
 
 
+def empirical_term(data: Data, search: Search, judged: Judged) -> Term | None:
+    """Return what the believed causes leave, without a name; no visit is used that no estimate may use."""
+    sample = Sample.comparable(data.folds.both, data.baseline.readings)
+    law = shared_law(search, judged.final.stack, judged.believed)
+    return term_of(law, search.common, sample, data.rng("term"))
+
+
 def transport(
-    data: Data, options: Options, corrected: SonarModel | None, acting: SonarModel | None
+    data: Data, search: Search, options: Options, corrected: SonarModel | None, acting: SonarModel | None
 ) -> Transport | None:
     """Return what carries readings of the simulation to the recording's law; None where the causes predict as well.
 
-    The laws differ by the causes and by their recalibration alone, so that where a target begins to be heard, say, is
-    the same in both. Both are recalibrated: what a law gets wrong of the simulation is no difference, and that of the
-    recording must predict it better than that of the simulation. A forest of the recording says nothing of other
-    conditions, under which readings are to be corrected too.
+    The laws differ by the causes and by the empirical term alone, so that where a target begins to be heard, say, is
+    the same in both. That of the recording must predict it better than that of the simulation. A forest of the
+    recording says nothing of other conditions, under which readings are to be corrected too.
     """
-    readings, forest, term = data.baseline.readings, data.baseline.forest, options.with_term
+    forest, term = data.baseline.forest, options.with_term
     law = corrected if term is None else term.model
-    if readings is None or forest is None or law is None or law is data.forest.model:
+    if data.baseline.readings is None or forest is None or law is None or law is data.forest.model:
         return None
-    own = None if term is None else recalibrated(options.without, readings, data.rng("own term"))
-    if term is not None and own is not None and not term.beats(own.model):
+    own = options.without if term is None else offered(search.common, term.model.resolution)
+    if term is not None and not term.beats(own):
         return None
-    carrying = Transport(options.without if own is None else own.model, law)
+    carrying = Transport(own, law)
     rng = data.rng("transport")
     better = is_carried(data.simulation, forest, acting, carrying, data.folds.unseen, rng, sure=term is not None)
     return carrying if better else None

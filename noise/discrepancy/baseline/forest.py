@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from scipy.sparse import csr_array
+
 from acquisition import ModelError, Ping, Reading
 from acquisition.arrays import Bits, Floats, Ints
 from acquisition.brief import brief
@@ -23,6 +25,7 @@ from noise.law import EchoLaw
 from noise.metrics import crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
+RARE = 1e-12  # smallest divisor
 MAX_PINGS = 4000  # of the forest, thinned by visit; bounds time and the size of the file
 
 
@@ -63,11 +66,21 @@ class AnalogueForest:
         """Return the law of n pings, given the previous reading of each; a ping alone is the first of its visit."""
         return self.mixture(ping, self.similar.reached(ping, past))
 
-    def mixture(self, ping: Ping, reached: Ints, used: Bits | None = None) -> QuantileLaw:
-        """Return the law of n pings with given leaves, (n, t), and trees, (n, t)."""
+    def mixture(
+        self, ping: Ping, reached: Ints, used: Bits | None = None, places: tuple[Ints, Ints] | None = None
+    ) -> QuantileLaw:
+        """Return the law of n pings.
+
+        Args:
+            ping: pings.
+            reached: their leaves, (n, t).
+            used: trees that are asked for each, (n, t); every tree by default.
+            places: of the pings, (n,), and of the stored readings, (m,): those in its own place are left out.
+        """
         n, n_echo = len(ping), int(np.isfinite(self.error).sum())
         p_echo, centre = np.empty(n), np.empty((n, N_LEVELS))
-        for rows, every in self.similar.weights(reached, used):
+        for rows, each in self.similar.weights(reached, used):
+            every = each if places is None else _elsewhere(each, places[0][rows], places[1])
             weight = every[:, :n_echo]
             p_echo[rows] = weight.sum(axis=1)
             centre[rows] = quantiles(weight, self.error[:n_echo])
@@ -100,9 +113,56 @@ class AnalogueForest:
         return cls(similar, error, *limits)
 
 
+def _elsewhere(weight: csr_array, place: Ints, stored: Ints) -> csr_array:
+    """Return weights, (k, m), without those of readings in the place of each ping; as they are where there are none."""
+    row = np.repeat(np.arange(len(place)), np.diff(weight.indptr))
+    value = np.where(stored[weight.indices] == place[row], 0.0, weight.data)
+    left = np.bincount(row, value, len(place))
+    value = np.where(left[row] > 0.0, value / np.maximum(left[row], RARE), weight.data)
+    return csr_array((value, weight.indices, weight.indptr), shape=weight.shape)
+
+
 def errors(batch: Batch) -> Floats:
     """Return the error of each reading, m, (n,); infinite for no echo."""
     return np.where(batch.reading.echo, batch.error, np.inf)
+
+
+def places(ping: Ping) -> Floats:
+    """Return the place of the target of n pings: distance, angle, incidence and reflectance, rounded, (n, 4)."""
+    return np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1), 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Elsewhere:
+    """A forest that predicts a ping without the readings that were made in the ping's own place.
+
+    Where a recording has the places of a simulation, that tells what a forest of the simulation is worth in others.
+
+    Attributes:
+        forest: the forest.
+        place: of its readings, (m, 4).
+    """
+
+    forest: AnalogueForest
+    place: Floats
+
+    __repr__ = brief
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.forest.resolution
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law depends on the previous reading."""
+        return self.forest.remembers
+
+    def law(self, ping: Ping, past: Reading | None = None) -> QuantileLaw:
+        """Return the law of n pings, given the previous reading of each."""
+        every = np.unique(np.concatenate([places(ping), self.place]), axis=0, return_inverse=True)[1].ravel()
+        both = every[: len(ping)], every[len(ping) :]
+        return self.forest.mixture(ping, self.forest.similar.reached(ping, past), places=both)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +180,12 @@ class Grown:
         error = errors(batch)[rank]
         order = np.argsort(error, kind="stable")
         return replace(self.model, similar=self.model.similar.ordered(order), error=error[order])
+
+    def elsewhere(self) -> Elsewhere:
+        """Return the forest as it is for places that it has not seen."""
+        assert isinstance(self.model, AnalogueForest)
+        place = places(self.batch.ping)[np.argsort(errors(self.batch), kind="stable")]
+        return Elsewhere(self.model, place)
 
     @cached_property
     def crps(self) -> Floats:

@@ -1,7 +1,7 @@
-"""Which stored readings were made under conditions like those of a ping: those that share its leaves in many trees.
+"""Leaves of trees over pings, and which stored readings were made under conditions like those of a ping.
 
-Meinshausen (2006), Quantile Regression Forests. Every tree leaves out one fold of the visits, so that the trees without
-a visit predict it as if it had not been recorded.
+These are the readings that share its leaves in many trees: Meinshausen (2006), Quantile Regression Forests. Every tree
+leaves out one fold of the visits, so that the trees without a visit predict it as if it had not been recorded.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ INTEGERS, NUMBERS = ("root", "feature", "left", "right"), ("threshold",)
 
 
 @dataclass(frozen=True, eq=False)
-class Similarity:
-    """Weights of m stored readings for a ping: how often they share its leaf.
+class Leaves:
+    """Trees over the inputs of a ping.
 
     Attributes:
         names: inputs.
@@ -37,23 +37,17 @@ class Similarity:
             the record where that is shorter.
         typical: medians of the inputs, which stand for covariates that were not logged, (d,).
         trees: over the inputs.
-        leaf: of each stored reading in each tree, -1 where the tree was grown without it, (m, t).
     """
 
     names: tuple[str, ...]
     times: tuple[float, float]
     typical: Floats
     trees: Trees
-    leaf: Ints
 
     @property
     def remembers(self) -> bool:
         """Whether the previous reading is an input."""
         return any(name in MEMORY for name in self.names)
-
-    def ordered(self, order: Ints) -> Similarity:
-        """Return the same with the stored readings in another order."""
-        return replace(self, leaf=self.leaf[order])
 
     def reached(self, ping: Ping, past: Reading | None) -> Ints:
         """Return the leaves of n pings in each tree, (n, t), or at `N_TIMES` recorded times, (n, `N_TIMES` t)."""
@@ -75,6 +69,65 @@ class Similarity:
             x[:, self.names.index(TIME)] = nearest + share * (farthest - nearest)
             leaves.append(self.trees.leaves(x))
         return np.concatenate(leaves, axis=1)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the trees and their inputs as plain data."""
+        trees = {name: getattr(self.trees, name).tolist() for name in (*INTEGERS, *NUMBERS)}
+        return {
+            "names": list(self.names),
+            "times": list(self.times),
+            "typical": self.typical.tolist(),
+            "trees": trees,
+        }
+
+    @staticmethod
+    def given(data: dict[str, Any]) -> tuple[tuple[str, ...], tuple[float, float], Floats, Trees]:
+        """Return the attributes that plain data describe.
+
+        Raises:
+            KeyError, TypeError, ValueError: a part is missing or does not fit the others.
+        """
+        given = data["trees"]
+        integers = {name: np.asarray(given[name], dtype=np.int64) for name in INTEGERS}
+        trees = Trees(**integers, threshold=np.asarray(given["threshold"], dtype=np.float64))
+        first, last = map(float, data["times"])
+        return tuple(map(str, data["names"])), (first, last), np.asarray(data["typical"], dtype=np.float64), trees
+
+    def check(self) -> None:
+        """Check that the parts fit each other.
+
+        Raises:
+            ValueError: they do not.
+        """
+        trees, n = self.trees, len(self.trees.feature)
+        if not (n and {each.shape for each in (trees.feature, trees.threshold, trees.left, trees.right)} == {(n,)}):
+            raise ValueError("the nodes of its trees differ in number")
+        inner, node = trees.feature >= 0, np.arange(n)
+        children = np.stack([trees.left, trees.right])[:, inner]
+        if not ((children > node[inner]) & (children < n)).all() or not (trees.feature < len(self.names)).all():
+            raise ValueError("a node leads to none below it")
+        if trees.root.ndim != 1 or not len(trees.root) or not ((trees.root >= 0) & (trees.root < n)).all():
+            raise ValueError("a tree has no root")
+        if (
+            self.typical.shape != (len(self.names),)
+            or not np.isfinite(np.r_[self.times, self.typical, trees.threshold]).all()
+        ):
+            raise ValueError("a value is missing or not finite")
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity(Leaves):
+    """Weights of m stored readings for a ping: how often they share its leaf.
+
+    Attributes:
+        leaf: of each stored reading in each tree, -1 where the tree was grown without it, (m, t).
+    """
+
+    leaf: Ints
+
+    def ordered(self, order: Ints) -> Similarity:
+        """Return the same with the stored readings in another order."""
+        return replace(self, leaf=self.leaf[order])
 
     def weights(self, reached: Ints, used: Bits | None = None) -> Iterator[tuple[slice, csr_array]]:
         """Yield rows of pings and the weights of the stored readings for them, (k, m), sorted, which sum to one.
@@ -103,14 +156,7 @@ class Similarity:
 
     def to_dict(self) -> dict[str, object]:
         """Return the weights' rule as plain data."""
-        trees = {name: getattr(self.trees, name).tolist() for name in (*INTEGERS, *NUMBERS)}
-        own = {
-            "names": list(self.names),
-            "times": list(self.times),
-            "typical": self.typical.tolist(),
-            "leaf": self.leaf.tolist(),
-        }
-        return {**own, "trees": trees}
+        return {**super().to_dict(), "leaf": self.leaf.tolist()}
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Similarity:
@@ -119,12 +165,7 @@ class Similarity:
         Raises:
             KeyError, TypeError, ValueError: a part is missing or does not fit the others.
         """
-        given = data["trees"]
-        integers = {name: np.asarray(given[name], dtype=np.int64) for name in INTEGERS}
-        trees = Trees(**integers, threshold=np.asarray(given["threshold"], dtype=np.float64))
-        first, last = map(float, data["times"])
-        typical, leaf = np.asarray(data["typical"], dtype=np.float64), np.asarray(data["leaf"], dtype=np.int64)
-        found = cls(tuple(map(str, data["names"])), (first, last), typical, trees, leaf)
+        found = cls(*cls.given(data), np.asarray(data["leaf"], dtype=np.int64))
         found.check()
         return found
 
@@ -134,26 +175,14 @@ class Similarity:
         Raises:
             ValueError: they do not.
         """
-        trees, n = self.trees, len(self.trees.feature)
-        if not (n and {each.shape for each in (trees.feature, trees.threshold, trees.left, trees.right)} == {(n,)}):
-            raise ValueError("the nodes of its trees differ in number")
-        inner, node = trees.feature >= 0, np.arange(n)
-        children = np.stack([trees.left, trees.right])[:, inner]
-        if not ((children > node[inner]) & (children < n)).all() or not (trees.feature < len(self.names)).all():
-            raise ValueError("a node leads to none below it")
-        if trees.root.ndim != 1 or not len(trees.root) or not ((trees.root >= 0) & (trees.root < n)).all():
-            raise ValueError("a tree has no root")
-        if self.leaf.ndim != 2 or not len(self.leaf) or self.leaf.shape[1] != len(trees.root):
+        super().check()
+        if self.leaf.ndim != 2 or not len(self.leaf) or self.leaf.shape[1] != len(self.trees.root):
             raise ValueError("its readings and leaves differ in number")
+        inner, n = self.trees.feature >= 0, len(self.trees.feature)
         stored = self.leaf[self.leaf >= 0]
         empty = ~inner & (np.bincount(stored[stored < n], minlength=n) == 0)
         if (stored >= n).any() or inner[stored].any() or empty.any():
             raise ValueError("a reading is in no leaf, or a leaf holds no reading")
-        if (
-            self.typical.shape != (len(self.names),)
-            or not np.isfinite(np.r_[self.times, self.typical, trees.threshold]).all()
-        ):
-            raise ValueError("a value is missing or not finite")
 
 
 def similarity(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -101,6 +102,18 @@ class Trees:
     left: Ints
     right: Ints
 
+    @classmethod
+    def of(cls, grown: Sequence[Any]) -> Trees:
+        """Return trees of scikit-learn (their `tree_`) in one numbering."""
+        root = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
+        feature = np.concatenate([np.where(tree.children_left < 0, -1, tree.feature) for tree in grown])
+        threshold = np.concatenate([np.where(tree.children_left < 0, 0.0, tree.threshold) for tree in grown])
+        left, right = (
+            np.concatenate([np.where(child < 0, -1, child + r) for child, r in zip(children, root, strict=True)])
+            for children in ([tree.children_left for tree in grown], [tree.children_right for tree in grown])
+        )
+        return cls(root, feature, threshold, left, right)
+
     def leaves(self, x: Floats) -> Ints:
         """Return the leaf of n pings with inputs x, (n, d), in each tree, (n, t)."""
         node = np.tile(self.root, (len(x), 1))
@@ -135,11 +148,4 @@ def grow(batch: Batch, x: Floats, y: Floats, rng: np.random.Generator) -> tuple[
             tree = ExtraTreeRegressor(min_samples_leaf=MIN_LEAF, max_features=1.0, random_state=seed)
             grown.append(tree.fit(single[used], y[used], check_input=False).tree_)
             drawn.append(used)
-    root = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
-    feature = np.concatenate([np.where(tree.children_left < 0, -1, tree.feature) for tree in grown])
-    threshold = np.concatenate([np.where(tree.children_left < 0, 0.0, tree.threshold) for tree in grown])
-    left, right = (
-        np.concatenate([np.where(child < 0, -1, child + r) for child, r in zip(children, root, strict=True)])
-        for children in ([tree.children_left for tree in grown], [tree.children_right for tree in grown])
-    )
-    return Trees(root, feature, threshold, left, right), np.stack(drawn, axis=1)
+    return Trees.of(grown), np.stack(drawn, axis=1)

@@ -1,7 +1,6 @@
 """The corrected model: the causes, with what they leave as an empirical term, or a forest of the recording.
 
-What no cause explains joins the corrected model as an empirical term, a local recalibration, where that predicts
-better; where the recording's own readings under similar conditions predict better than any law, they are the corrected
+What no cause explains joins the corrected model as an empirical term (see `term`) where that predicts better; where the recording's own readings under similar conditions predict better than any law, they are the corrected
 model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
 not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
 that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
@@ -22,9 +21,16 @@ from acquisition.arrays import Floats
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise.composed import with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
-from noise.discrepancy.baseline.recalibration import recalibrated
-from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, improves, log_score
+from noise.discrepancy.judge.held_out import (
+    Simulation,
+    beyond_chance,
+    crps_of_each,
+    crps_under,
+    improves,
+    log_score,
+)
 from noise.discrepancy.judge.judged import Judged, taken_back
+from noise.discrepancy.judge.term import Term
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -73,8 +79,10 @@ class Options:
 
     Attributes:
         with_causes: the law with the believed causes alone; None where none is believed.
-        with_term: the same, or the simulation's law, with an empirical term; None where none gains beyond chance.
+        with_term: the simulation's law with the believed causes and the empirical term; None where that gains nothing
+            beyond chance.
         on_simulation: the causes on what stands for the simulation; None where that is the emulator.
+        with_both: the same with the empirical term; None where that gains nothing beyond chance.
         forest: a forest of the recording.
         causes_gain: whether the law with causes predicts better than the emulator.
         without: the law with the causes taken back, and all else as the recording has it.
@@ -83,6 +91,7 @@ class Options:
     with_causes: Option | None
     with_term: Option | None
     on_simulation: Option | None
+    with_both: Option | None
     forest: Option
     causes_gain: bool
     without: SonarModel
@@ -101,7 +110,7 @@ class Options:
         before: Simulation,
         emulator: SonarModel,
         step_m: float,
-        rng: np.random.Generator,
+        term: Term | None,
     ) -> Options:
         """Return the options of a judged hypothesis.
 
@@ -112,41 +121,46 @@ class Options:
             before: the user's simulation.
             emulator: law that describes the simulation.
             step_m: step of the recording's register.
-            rng: grows the trees of the empirical term.
+            term: empirical term; None where there is none.
         """
         parts, with_causes, on_simulation, gain = _parts(search), None, None, False
         stack = judged.final.single.stack
         law, without = (offered(each, step_m) for each in (stack, taken_back(stack, search, judged.believed)))
+        shared = [offered(shared_law(search, each, judged.believed), step_m) for each in _stacks(judged)]
         if judged.believed:
             laws = [law, *(offered(each, step_m) for each in reversed(judged.found.stacks))]
             nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
             with_causes = replace(option_of(laws, parts), nats=nats)
             gain = gains(with_causes, emulator)
-            on_simulation = _on_simulation(judged, search, before.model, step_m, parts)
-        term = recalibrated(law, search.folds.both, rng)
-        with_term = None if term is None else _crossed(term, search, parts)
-        # the term is compared with the very law that it corrects, so that both were fitted to the same readings
-        if with_term is not None and not with_term.is_better_than(option_of([law] * len(parts), parts)):
-            with_term = None
-        return cls(with_causes, with_term, on_simulation, _crossed(forest, search, parts), gain, without)
+        on_simulation, with_both = _on_simulation(judged, search, before, step_m, term, parts)
+        with_term = _with_term(term, shared, parts, shared[0])
+        return cls(with_causes, with_term, on_simulation, with_both, _crossed(forest, search, parts), gain, without)
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
 
-        Laws with causes hold under other conditions too, and a forest of readings under their own alone. What is less
+        Laws hold under other conditions too, and what rests on a forest of readings under their own alone. What is less
         general is preferred only where it is better beyond chance.
         """
-        laws = [each for each in (self.with_causes, self.on_simulation, self.with_term) if each is not None]
-        best = min(laws, key=lambda option: option.crps, default=self.forest)
-        if best is not self.forest and self.forest.is_better_than(best):
-            best = self.forest
-        offered = next((each for each in (best, self.forest) if before.is_beaten(*each.scored)), None)
+        laws = _best(self.with_causes, self.with_term)
+        forests = _best(self.on_simulation, self.with_both, self.forest)
+        preferred = [*forests, *laws] if laws and forests[0].is_better_than(laws[0]) else [*laws, *forests]
+        offered = next((each for each in preferred if before.is_beaten(*each.scored)), None)
         if offered is None:
-            found = [each for each in (self.on_simulation, self.with_term) if each is not None]
-            sure = [self.with_causes if self.causes_gain else None, *(o for o in found if o.beats(before.model))]
-            better = [each for each in sure if each is not None and _improves_on(before, each)]
-            offered = min(better, key=lambda option: option.crps, default=None)
+            sure = [each for each in preferred if self._is_sure(each, before)]
+            offered = next((each for each in sure if _improves_on(before, each)), None)
         return None if offered is None else offered.model
+
+    def _is_sure(self, option: Option, before: Simulation) -> bool:
+        """Return whether an option is certain for another reason than its CRPS beside that of the simulation."""
+        if option is self.with_causes:
+            return self.causes_gain
+        return option is not self.forest and option.beats(before.elsewhere)
+
+
+def _best(*options: Option | None) -> list[Option]:
+    """Return the options that there are, that of the least CRPS first."""
+    return sorted((each for each in options if each is not None), key=lambda option: option.crps)
 
 
 def _improves_on(before: Simulation, option: Option) -> bool:
@@ -199,21 +213,61 @@ def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
     return Option(found.model, score)
 
 
-def _on_simulation(
-    judged: Judged, search: Search, model: SonarModel, step_m: float, parts: tuple[Batch, ...]
-) -> Option | None:
-    """Return the causes acting on what stands for the simulation; None where that is the law they were found beside.
+def _stacks(judged: Judged) -> tuple[Stack, ...]:
+    """Return the law with the believed causes fitted to both folds, and to the fold that each part is not in."""
+    return (judged.final.single.stack, *reversed(judged.found.stacks))
 
-    What that law gets wrong of the simulation does not enter such a model.
+
+def shared_law(search: Search, law: Stack, effects: Sequence[str]) -> Stack:
+    """Return the law of the simulation with the causes of a law of the recording: nuisances are no differences."""
+    keys = search.differing(effects)
+    return search.common.put(keys, [law.get(key) for key in keys])
+
+
+def _with_term(
+    term: Term | None, models: Sequence[SonarModel], parts: Sequence[Batch], offered: SonarModel
+) -> Option | None:
+    """Return the option of a model with the empirical term; None where that is not better beyond chance.
+
+    Args:
+        term: the term; None where there is none.
+        models: models that predict the parts.
+        parts: visits.
+        offered: the model for all conditions.
     """
-    if not isinstance(model, AnalogueForest):
+    if term is None:
         return None
-    base = replace(model, resolution=max(model.resolution, step_m))
-    stacks = (judged.final.single.stack, *reversed(judged.found.stacks))
-    pairs = [
-        with_differences(base, search.common.effects, {name: stack.effects[name] for name in judged.believed})
-        for stack in stacks
-    ]
-    if any(left_out for _, left_out in pairs):
-        return None
-    return option_of([composed for composed, _ in pairs], parts)
+    pairs = list(zip(models, parts, strict=False))
+    found = Option(
+        term.on(offered),
+        lambda tolerance: tuple((batch, crps_under(term.law(m, batch), batch, tolerance)) for m, batch in pairs),
+    )
+    return found if found.is_better_than(option_of(models, parts)) else None
+
+
+def _on_simulation(
+    judged: Judged, search: Search, before: Simulation, step_m: float, term: Term | None, parts: Sequence[Batch]
+) -> tuple[Option | None, Option | None]:
+    """Return the causes on what stands for the simulation, and the same with the term; None where it is the emulator.
+
+    What the emulator gets wrong of the simulation does not enter such a model. It is to predict other places than those
+    of the simulation, so it predicts the recording without what it knows of its places.
+    """
+    if not isinstance(before.model, AnalogueForest):
+        return None, None
+    coarse = replace(before.model, resolution=max(before.model.resolution, step_m))
+    whole, elsewhere = (_with_causes(judged, search, each) for each in (coarse, before.elsewhere))
+    if not whole:
+        return None, None
+    causes = replace(option_of(elsewhere, parts), model=whole[0]) if judged.believed else None
+    return causes, _with_term(term, elsewhere, parts, whole[0])
+
+
+def _with_causes(judged: Judged, search: Search, base: SonarModel) -> list[SonarModel]:
+    """Return a model with the believed causes of each law, if there are any; none where one cannot act on it."""
+    stacks = _stacks(judged)
+    if not judged.believed:
+        return [base] * len(stacks)
+    effects = [{name: stack.effects[name] for name in judged.believed} for stack in stacks]
+    pairs = [with_differences(base, search.common.effects, each) for each in effects]
+    return [] if any(left_out for _, left_out in pairs) else [composed for composed, _ in pairs]

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from acquisition.arrays import Floats
 from acquisition.ping import CREDENCE_TOLERANCE
-from noise.discrepancy.baseline.forest import floored_log_prob
+from noise.discrepancy.baseline.forest import Grown, floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.directed import drawn_in_visits
 from noise.discrepancy.moments.sample import positions
@@ -19,6 +19,7 @@ from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import LEVEL, HeldOut, Interval, Score
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
+from noise.law import EchoLaw
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
@@ -33,7 +34,12 @@ def crps(model: SonarModel, batch: Batch) -> float:
 
 def crps_of_each(model: SonarModel, batch: Batch, tolerance: float | None = None) -> Floats:
     """Return the CRPS of each reading with silence counted, m, (n,); see `crps_with_silence` on the tolerance."""
-    return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading, tolerance=tolerance))
+    return crps_under(model.law(batch.ping, batch.past), batch, tolerance)
+
+
+def crps_under(law: EchoLaw, batch: Batch, tolerance: float | None = None) -> Floats:
+    """Return the same under a law of the pings of a batch, m, (n,)."""
+    return np.asarray(crps_with_silence(law, batch.reading, tolerance=tolerance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +56,7 @@ class Simulation:
         excess: mean CRPS of the model beyond that of the simulation, m, with its standard error.
         near_excess: the same of the CRPS within the tolerance of credence.
         tolerance: of the CRPS, a share of the true distance; see `crps_with_silence`.
+        forest: of the readings; None where the model is none.
     """
 
     model: SonarModel
@@ -57,6 +64,7 @@ class Simulation:
     excess: tuple[float, float] = (0.0, 0.0)
     near_excess: tuple[float, float] = (0.0, 0.0)
     tolerance: float | None = None
+    forest: Grown | None = None
 
     @classmethod
     def of(cls, base: Baseline, recorded: Batch, rng: np.random.Generator) -> Simulation:
@@ -70,18 +78,23 @@ class Simulation:
         grown = base.forest
         if grown is None or base.before is not grown.model:
             return cls(base.before)
-        model, score, few = base.before, grown.crps_within, grown.batch
+        model, score, few, forest = base.before, grown.crps_within, grown.batch, grown
         if base.held_out is not None and crps(base.emulator, recorded) < crps(model, recorded):
-            model, few = base.emulator, few.select(np.isin(few.condition, base.held_out.condition))
+            model, forest, few = base.emulator, None, few.select(np.isin(few.condition, base.held_out.condition))
             score = partial(crps_of_each, model, few)
         drawn = drawn_in_visits(base.law, grown.batch, rng)
         excess, near = (_excess(few, score(each), base.law, drawn, each) for each in (None, CREDENCE_TOLERANCE))
-        return cls(model, base.readings, excess, near)
+        return cls(model, base.readings, excess, near, forest=forest)
 
     @cached_property
     def near(self) -> Simulation:
         """The same, scored within the tolerance of credence: readings that are no use all count alike."""
         return replace(self, excess=self.near_excess, tolerance=CREDENCE_TOLERANCE)
+
+    @cached_property
+    def elsewhere(self) -> SonarModel:
+        """The model as it is for places without readings."""
+        return self.model if self.forest is None else self.forest.elsewhere()
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""

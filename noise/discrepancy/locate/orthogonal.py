@@ -124,26 +124,9 @@ def compared(
         signs: of clusters in each draw of the bootstrap, if they are shared with another test, (draws, clusters).
         only: which (regressor, aspect) pairs are tested; all by default.
     """
-    columns = columns_of(sample)
-    x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
-    level = np.clip(scored.level_db, -20.0, 20.0)  # beyond, detection is certain or impossible
-    own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
-    units = units_of(sample.visit, np.concatenate([x, np.round(own, 3)], axis=1))
-    first = np.unique(units, return_index=True)[1]
-    frame = _Frame(sample, scored, columns, units, first)
-    if sample.simulated is None:
-        groups = [_known(frame, rows) for rows in _same_rows(scored.valid)]
-        overlap = 1.0
-    else:
-        compared = [k for k, name in enumerate(sample.conditions) if name not in sample.of_the_day]
-        shared = x[first][:, compared] if compared else np.zeros((len(first), 1))
-        basis = basis_of(shared, own[first], sample.cluster[first], rng)
-        folds = folds_of(sample.cluster[first], rng)
-        fitted = [_fitted(frame, rows, basis, folds) for rows in _same_rows(scored.valid)]
-        groups = [group for group, _ in fitted]
-        overlap = max(fitted, key=lambda each: int(each[0].valid.sum()))[1]
+    contrast = contrast_of(scored, sample, rng)
     signs = signs_of(sample.cluster, rng) if signs is None else signs
-    return _tested(groups, frame, overlap, signs, only)
+    return _tested(contrast, signs, only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +142,52 @@ class _Frame:
     def sums(self, value: Floats) -> Floats:
         """Return sums over units, (units, ...)."""
         return np.asarray(np.add.reduceat(value, self.first, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """The scores of both files less their nuisance functions.
+
+    Attributes:
+        frame: what all groups share.
+        groups: aspects that exist for the same pings.
+        overlap: share of the recording's pings with m(x) in `OVERLAP`.
+    """
+
+    frame: _Frame
+    groups: list[Group]
+    overlap: float
+
+    @property
+    def units(self) -> Ints:
+        """Unit of each ping, (n,)."""
+        return self.frame.units
+
+
+def contrast_of(scored: Scores, sample: Sample, rng: np.random.Generator) -> Contrast:
+    """Return the scores of both files less their nuisance functions.
+
+    Args:
+        scored: scores of both files, in the order of the sample.
+        sample: readings.
+        rng: divides clusters into folds.
+    """
+    columns = columns_of(sample)
+    x = np.stack(list(sample.conditions.values()) or [np.zeros(len(sample.visit))], axis=1)
+    level = np.clip(scored.level_db, -20.0, 20.0)  # beyond, detection is certain or impossible
+    own = np.stack([level, np.exp(-0.5 * (level / DETECTION_WIDTH_DB) ** 2)], axis=1)
+    units = units_of(sample.visit, np.concatenate([x, np.round(own, 3)], axis=1))
+    first = np.unique(units, return_index=True)[1]
+    frame = _Frame(sample, scored, columns, units, first)
+    if sample.simulated is None:
+        return Contrast(frame, [_known(frame, rows) for rows in _same_rows(scored.valid)], 1.0)
+    compared = [k for k, name in enumerate(sample.conditions) if name not in sample.of_the_day]
+    shared = x[first][:, compared] if compared else np.zeros((len(first), 1))
+    basis = basis_of(shared, own[first], sample.cluster[first], rng)
+    folds = folds_of(sample.cluster[first], rng)
+    fitted = [_fitted(frame, rows, basis, folds) for rows in _same_rows(scored.valid)]
+    overlap = max(fitted, key=lambda each: int(each[0].valid.sum()))[1]
+    return Contrast(frame, [group for group, _ in fitted], overlap)
 
 
 def _same_rows(valid: Bits) -> list[Ints]:
@@ -250,7 +279,8 @@ def _expected_weights(
     return tuple(out)
 
 
-def _tested(groups: list[Group], frame: _Frame, overlap: float, signs: Singles, only: Only | None) -> Tested:
+def _tested(contrast: Contrast, signs: Singles, only: Only | None) -> Tested:
+    groups, frame, overlap = contrast.groups, contrast.frame, contrast.overlap
     columns, cluster, chains = tuple(frame.columns), frame.sample.cluster, frame.sample.chains
     value, valid = frame.scored.value, frame.scored.valid
     drifts = pose_drifts(frame.sample, value[:, BIAS], valid[:, BIAS], cluster, chains)

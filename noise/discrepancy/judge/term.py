@@ -1,0 +1,221 @@
+"""The empirical term: in what a recording differs from a simulation without a name, as functions of the ping.
+
+For ping i of the simulation (D = 0) or the recording (D = 1), with what a law says of both and the error g(x) of that
+law estimated and subtracted, as in the orthogonal test, the residual of a shift, a spread or a share of echoes is
+
+    r_i = (D_i - m(x_i)) delta(x_i, t_i, past_i) + noise,  m(x) = P(D = 1 | x).
+
+The function delta is found by gradient boosting of trees with squared loss on all these pings (the R-learner of Nie and
+Wager 2021), so that what a law gets wrong of both files is no part of it. The number of trees is that of the least loss
+on clusters that they lack, and a part that does not gain there beyond chance is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+from sklearn.ensemble import GradientBoostingRegressor
+
+from acquisition.arrays import Floats, Ints
+from noise.discrepancy.baseline.adjusted import GAINED, LOST, SHIFT, SPREAD, Adjusted, AdjustedLaw, Boosted
+from noise.discrepancy.baseline.trees import Trees, columns, input_groups
+from noise.discrepancy.judge.held_out import beyond_chance
+from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, Contrast, contrast_of
+from noise.discrepancy.moments.sample import Sample
+from noise.discrepancy.moments.scores import ASPECTS, LIMIT, scores_of_both
+from noise.discrepancy.result import Aspect
+from noise.fitting.batch import Batch
+from noise.fitting.stack import Stack
+from noise.model import SonarModel
+
+MAX_PINGS = 4000  # of each file, thinned by visit; bounds the time
+N_FOLDS = 5
+N_TREES, RATE, DEPTH, MIN_LEAF = 60, 0.1, 2, 20  # most trees; step, depth and least pings of a leaf; chosen here
+MIN_CONTRAST = 0.02  # smallest divisor
+MIN_RATE = 0.01  # of echoes or of silence
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A part of the term.
+
+    Attributes:
+        function: of a ping.
+        crossed: its value at each ping by trees that lack the ping's cluster, (n,).
+        gain: in loss on such clusters, (clusters,).
+    """
+
+    function: Boosted
+    crossed: Floats
+    gain: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """The empirical term.
+
+    Attributes:
+        parts: functions of a ping, by name.
+        crossed: their values by trees that lack the cluster of a ping, by its row in the recording.
+    """
+
+    parts: Mapping[str, Boosted]
+    crossed: Mapping[str, pd.Series]
+
+    def on(self, model: SonarModel) -> Adjusted:
+        """Return a model with the term."""
+        return Adjusted(model, self.parts)
+
+    def law(self, model: SonarModel, batch: Batch) -> AdjustedLaw:
+        """Return the law of readings of the recording under a model with the term, as it is without their clusters."""
+        amount = {}
+        for name, part in self.parts.items():
+            known = self.crossed[name].reindex(batch.row).to_numpy()
+            amount[name] = np.where(np.isnan(known), part(batch.ping, batch.past), known)
+        return AdjustedLaw(model.law(batch.ping, batch.past), amount)
+
+
+def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Generator) -> Term | None:
+    """Return the empirical term beside a law of the recording; None where nothing gains beyond chance.
+
+    Args:
+        recorded: law of the recording.
+        simulated: law of the simulation.
+        sample: readings of both files.
+        rng: divides clusters into folds, and grows trees.
+    """
+    few = replace(sample, recorded=sample.recorded.thin(MAX_PINGS), scored=[])
+    if few.simulated is not None:
+        few = replace(few, simulated=few.simulated.thin(MAX_PINGS))
+    found = Residuals(recorded, simulated, few, rng).parts()
+    rows, own = few.recorded.row, few.is_recorded
+    crossed = {name: pd.Series(each.crossed[own], rows) for name, each in found.items()}
+    return Term({name: each.function for name, each in found.items()}, crossed) if found else None
+
+
+class Residuals:
+    """What is left of the scores of both files, and functions of a ping that explain it.
+
+    Args:
+        recorded: law of the recording.
+        simulated: law of the simulation.
+        sample: readings of both files.
+        rng: divides clusters into folds, and grows trees.
+    """
+
+    def __init__(self, recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Generator) -> None:
+        self.sample, self.rng = sample, rng
+        self.scored = scores_of_both(recorded, simulated, sample)
+        self.contrast = contrast_of(self.scored, sample, rng)
+        self.label = _units(sample)
+        self.fold = rng.permutation(np.arange(int(self.label.max()) + 1) % N_FOLDS)[self.label]
+
+    def parts(self) -> dict[str, Learned]:
+        """Return the parts that gain beyond chance, by name."""
+        shift = self._shift()
+        shifts = shift is not None and beyond_chance(shift.gain)
+        found = {SHIFT: shift, SPREAD: self._spread(shift if shifts else None)}
+        rates = {LOST: self._rate(lost=True), GAINED: self._rate(lost=False)}
+        better = max(rates, key=lambda name: 0.0 if (each := rates[name]) is None else float(each.gain.sum()))
+        found[better] = rates[better]
+        return {name: each for name, each in found.items() if each is not None and beyond_chance(each.gain)}
+
+    def _shift(self) -> Learned | None:
+        known = self._residual(Aspect.BIAS)
+        return None if known is None else self._learned(*known)
+
+    def _spread(self, shift: Learned | None) -> Learned | None:
+        """Return the spread about the shifted middle: a shift alone adds half its square to the score of the spread."""
+        known = self._residual(Aspect.SPREAD)
+        if known is None:
+            return None
+        residual, contrast, valid = known
+        if shift is not None:
+            residual = residual - contrast * 0.5 * np.clip(shift.crossed / self.scored.sigma, -LIMIT, LIMIT) ** 2
+        return self._learned(residual, contrast, valid)
+
+    def _rate(self, lost: bool) -> Learned | None:
+        """Return the share of echoes that are lost, or of silence that becomes an echo."""
+        known = self._residual(Aspect.DETECTION)
+        if known is None:
+            return None
+        residual, contrast, valid = known
+        rate = np.clip(self.sample_echo - residual, MIN_RATE, 1.0 - MIN_RATE)
+        weight = valid / np.maximum(rate * (1.0 - rate), MIN_VARIANCE)
+        return self._learned(residual, contrast * (-rate if lost else 1.0 - rate), weight)
+
+    @cached_property
+    def sample_echo(self) -> Floats:
+        """Whether each ping has an echo, (n,)."""
+        return np.concatenate([batch.reading.echo for batch in self.sample.batches]).astype(np.float64)
+
+    def _residual(self, aspect: Aspect) -> tuple[Floats, Floats, Floats] | None:
+        """Return an aspect's residual in natural units, D - m(x), and where both exist, (n,) each."""
+        a = ASPECTS.index(aspect)
+        group = next((each for each in self.contrast.groups if a in each.aspects), None)
+        if group is None:
+            return None
+        residual = group.natural[:, int(np.flatnonzero(group.aspects == a)[0])]
+        return residual, group.contrast[self.contrast.units], group.valid.astype(np.float64)
+
+    def _learned(self, residual: Floats, contrast: Floats, weight: Floats) -> Learned | None:
+        """Return the function of a ping, of some inputs, that has the least squared loss on clusters that trees lack.
+
+        Args:
+            residual, contrast: with residual = contrast x function + noise, (n,).
+            weight: inverse variance of the noise, up to a factor, (n,).
+        """
+        contrast = np.where(np.abs(contrast) < MIN_CONTRAST, 0.0, contrast)
+        strength = weight * contrast**2
+        used = strength > 0.0
+        if any((used & (self.fold != k)).sum() < 2 * MIN_LEAF for k in range(N_FOLDS)):
+            return None
+        target = np.divide(residual, contrast, out=np.zeros_like(residual), where=used)
+        every = (self._boosted(names, target, strength) for names in input_groups(self.sample.recorded))
+        return max((each for each in every if each), key=lambda each: each.gain.sum(), default=None)
+
+    def _boosted(self, names: tuple[str, ...], target: Floats, strength: Floats) -> Learned | None:
+        """Return a function of inputs; None where no tree predicts clusters better that it lacks."""
+        x = np.concatenate([columns(names, batch.ping, batch.past, {}) for batch in self.sample.batches])
+        used, steps = strength > 0.0, np.zeros((N_TREES + 1, len(x)))
+        for k in range(N_FOLDS):
+            grown, other = used & (self.fold != k), self.fold == k
+            model = _boosting(N_TREES, self.rng).fit(x[grown], target[grown], sample_weight=strength[grown])
+            steps[1:, other] = list(model.staged_predict(x[other]))
+        loss = strength * (target - steps) ** 2
+        best = int(loss.sum(axis=1).argmin())
+        if best == 0:
+            return None
+        whole = _boosting(best, self.rng).fit(x[used], target[used], sample_weight=strength[used])
+        gain = np.bincount(self.label, loss[0] - loss[best])
+        return Learned(_function(whole, names, x, self.sample.recorded), steps[best], gain)
+
+
+def _boosting(n_trees: int, rng: np.random.Generator) -> GradientBoostingRegressor:
+    return GradientBoostingRegressor(
+        init="zero",
+        n_estimators=n_trees,
+        learning_rate=RATE,
+        max_depth=DEPTH,
+        min_samples_leaf=MIN_LEAF,
+        random_state=int(rng.integers(2**31)),
+    )
+
+
+def _function(grown: GradientBoostingRegressor, names: tuple[str, ...], x: Floats, recorded: Batch) -> Boosted:
+    trees = [each.tree_ for each in grown.estimators_[:, 0]]
+    value = np.concatenate([np.where(each.children_left < 0, RATE * each.value[:, 0, 0], 0.0) for each in trees])
+    times = float(recorded.ping.time.min()), float(recorded.ping.time.max())
+    return Boosted(names, times, np.median(x, axis=0), Trees.of(trees), value)
+
+
+def _units(sample: Sample) -> Ints:
+    """Return the independent unit of each ping, (n,): its cluster, or its run where pings of a run depend."""
+    if not any(batch.by_run for batch in sample.batches):
+        return sample.cluster
+    start = np.cumsum([0, *(int(batch.unit.max()) + 1 for batch in sample.batches)])
+    return np.concatenate([batch.unit + k for batch, k in zip(sample.batches, start[:-1], strict=True)])
