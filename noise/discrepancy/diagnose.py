@@ -20,12 +20,11 @@ from noise.discrepancy.baseline.sources import Baseline, baseline_of
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.accepted import Comparing, Comparison
-from noise.discrepancy.judge.correction import Options, offered, shared_law
+from noise.discrepancy.judge.correction import Options, empirical_term, offered
 from noise.discrepancy.judge.difference import WORSE, difference, is_carried, worsens
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
-from noise.discrepancy.judge.term import Term, term_of
 from noise.discrepancy.judge.verdict import differs, kind_of, shows_little
 from noise.discrepancy.locate.directed import MIN_VISITS, directed_test, with_trifles
 from noise.discrepancy.locate.few import COARSER, placement_test, register_test, share_test, within_test
@@ -244,7 +243,7 @@ def _different(
         where = (*shown_by(*judged.apart(search), data.sample, tested, data.rng("shown")), *where)
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
-    term = empirical_term(data, search, judged)
+    term = empirical_term(judged, search, data.baseline.readings, data.rng("term"))
     options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, term)
     corrected = options.corrected(data.simulation)
     left = judged.rest
@@ -276,13 +275,6 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     data.tell("weighing", 0.7)
     rest = Rest(search, data.forest, data.baseline.forest)
     return search, judge(rest, none, found, tested.p_value, comparing, partial(steady, data, search), data.rng("judge"))
-
-
-def empirical_term(data: Data, search: Search, judged: Judged) -> Term | None:
-    """Return what the believed causes leave, without a name; no visit is used that no estimate may use."""
-    sample = Sample.comparable(data.folds.both, data.baseline.readings)
-    law = shared_law(search, judged.final.stack, judged.believed)
-    return term_of(law, search.common, sample, data.rng("term"))
 
 
 def transport(

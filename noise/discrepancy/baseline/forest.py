@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-
 from scipy.sparse import csr_array
 
 from acquisition import ModelError, Ping, Reading
@@ -129,7 +128,7 @@ def errors(batch: Batch) -> Floats:
 
 def places(ping: Ping) -> Floats:
     """Return the place of the target of n pings: distance, angle, incidence and reflectance, rounded, (n, 4)."""
-    return np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1), 6)
+    return np.asarray(np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1), 6))
 
 
 @dataclass(frozen=True, eq=False)

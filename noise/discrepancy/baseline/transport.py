@@ -26,12 +26,12 @@ from acquisition import EchoStatus, Ping, Reading
 from acquisition.arguments import checked
 from acquisition.arrays import Floats
 from acquisition.brief import brief
-from noise.discrepancy.baseline.recalibration import RARE, transforms
 from noise.discrepancy.thresholds import SHARE_TOLERANCE
 from noise.law import EchoLaw
 from noise.model import SonarModel
 from noise.replay import SIMULATED_BEFORE, given_readings
 
+RARE = 1e-12  # smallest divisor
 UPPER = 0.8  # quantile of a law's echoes that tells how wide it is; clear of tails; chosen here
 N_RANKS = 4  # of an echo within the step of its register; chosen here
 ALIEN = 1e-4  # probability in the simulation's law below which a reading is no part of it; chosen here
@@ -149,3 +149,12 @@ def relative_width(own: EchoLaw, law: EchoLaw) -> Floats:
     """
     widths = (each.quantile(UPPER) - each.quantile(1.0 - UPPER) + each.resolution for each in (own, law))
     return np.minimum(np.divide(*widths), 1.0)
+
+
+def transforms(law: EchoLaw, reading: Reading) -> tuple[Floats, Floats]:
+    """Return the probabilities up to the lower and the upper end of each answered reading, (n,) each."""
+    answer = np.maximum(1.0 - law.no_answer, RARE)
+    step = law.step(reading.range)
+    echo = law.echo / answer
+    low, high = (law.cdf_step(each) / answer for each in (step - 1, step))
+    return np.where(reading.echo, low, echo), np.where(reading.echo, high, 1.0)

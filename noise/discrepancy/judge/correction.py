@@ -1,12 +1,13 @@
 """The corrected model: the causes, with what they leave as an empirical term, or a forest of the recording.
 
-What no cause explains joins the corrected model as an empirical term (see `term`) where that predicts better; where the recording's own readings under similar conditions predict better than any law, they are the corrected
-model. A correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has
-not seen: those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees
-that lack them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more
-than what small changes of the range gain. Causes that predict better than the law without them, in the CRPS and in the
-log score, an empirical term that predicts better beyond chance than the law without it and than the model that stands
-for the simulation, and causes that do on this model, whose own errors cancel, need only do no harm (`improves`).
+What no cause explains joins the corrected model as an empirical term (see `term`) where that predicts better; where the
+recording's own readings under similar conditions predict better than any law, they are the corrected model. A
+correction is offered only if its CRPS is less than that of the user's simulation on visits that the model has not seen:
+those that nothing was fitted to, and those of each fold by the causes fitted to the other fold, or by trees that lack
+them. It must be less beyond chance; but where silence counts, the CRPS varies from visit to visit much more than what
+small changes of the range gain. Causes that predict better than the law without them, in the CRPS and in the log score,
+an empirical term that predicts better beyond chance than the law without it and than the model that stands for the
+simulation, and causes that do on this model, whose own errors cancel, need only do no harm (`improves`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from noise.discrepancy.judge.held_out import (
     log_score,
 )
 from noise.discrepancy.judge.judged import Judged, taken_back
-from noise.discrepancy.judge.term import Term
+from noise.discrepancy.judge.term import Term, term_of
+from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
@@ -222,6 +224,19 @@ def shared_law(search: Search, law: Stack, effects: Sequence[str]) -> Stack:
     """Return the law of the simulation with the causes of a law of the recording: nuisances are no differences."""
     keys = search.differing(effects)
     return search.common.put(keys, [law.get(key) for key in keys])
+
+
+def empirical_term(judged: Judged, search: Search, readings: Batch | None, rng: np.random.Generator) -> Term | None:
+    """Return what the believed causes leave, without a name.
+
+    Args:
+        judged: the causes.
+        search: the recording's readings; of visits that no estimate may use, none is.
+        readings: of the simulation; None where its law is known exactly.
+        rng: divides clusters into folds, and grows trees.
+    """
+    law = shared_law(search, judged.final.stack, judged.believed)
+    return term_of(law, search.common, Sample.comparable(search.folds.both, readings), rng)
 
 
 def _with_term(

@@ -78,7 +78,8 @@ class Simulation:
         grown = base.forest
         if grown is None or base.before is not grown.model:
             return cls(base.before)
-        model, score, few, forest = base.before, grown.crps_within, grown.batch, grown
+        model, score, few = base.before, grown.crps_within, grown.batch
+        forest: Grown | None = grown
         if base.held_out is not None and crps(base.emulator, recorded) < crps(model, recorded):
             model, forest, few = base.emulator, None, few.select(np.isin(few.condition, base.held_out.condition))
             score = partial(crps_of_each, model, few)

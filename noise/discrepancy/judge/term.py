@@ -24,7 +24,7 @@ from acquisition.arrays import Floats, Ints
 from noise.discrepancy.baseline.adjusted import GAINED, LOST, SHIFT, SPREAD, Adjusted, AdjustedLaw, Boosted
 from noise.discrepancy.baseline.trees import Trees, columns, input_groups
 from noise.discrepancy.judge.held_out import beyond_chance
-from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, Contrast, contrast_of
+from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, contrast_of
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.moments.scores import ASPECTS, LIMIT, scores_of_both
 from noise.discrepancy.result import Aspect
@@ -166,7 +166,8 @@ class Residuals:
         """Return the function of a ping, of some inputs, that has the least squared loss on clusters that trees lack.
 
         Args:
-            residual, contrast: with residual = contrast x function + noise, (n,).
+            residual: contrast x function + noise, (n,).
+            contrast: its factor, (n,).
             weight: inverse variance of the noise, up to a factor, (n,).
         """
         contrast = np.where(np.abs(contrast) < MIN_CONTRAST, 0.0, contrast)
@@ -191,7 +192,7 @@ class Residuals:
         if best == 0:
             return None
         whole = _boosting(best, self.rng).fit(x[used], target[used], sample_weight=strength[used])
-        gain = np.bincount(self.label, loss[0] - loss[best])
+        gain = np.asarray(np.bincount(self.label, loss[0] - loss[best]), dtype=np.float64)
         return Learned(_function(whole, names, x, self.sample.recorded), steps[best], gain)
 
 

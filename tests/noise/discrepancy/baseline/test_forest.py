@@ -85,6 +85,26 @@ def test_what_has_changed_stays_so_as_long_as_it_has_been_so():
     assert chance_of_change(10.0 * half) == pytest.approx(0.5, abs=0.15)
 
 
+def test_in_its_own_place_a_ping_is_predicted_from_the_readings_of_others():
+    ping, rng = survey(5), np.random.default_rng(5)
+    own = 0.05 * rng.normal(size=60)[np.repeat(np.arange(60), 10)]  # an error of each place, which others do not tell
+    found = grown(batch_of(ping, own, rng), np.random.default_rng(0))
+    again = batch_of(ping, own, np.random.default_rng(6))
+    crps = [
+        crps_with_silence(model.law(again.ping, again.past), again.reading).mean()
+        for model in (found.model, found.elsewhere())
+    ]
+    assert crps[0] < 0.5 * crps[1]
+    assert crps[1] == pytest.approx(found.crps.mean(), rel=0.15)
+
+
+def test_in_a_place_without_readings_a_forest_is_the_same_elsewhere():
+    found = grown(step_in_reflectance(1), np.random.default_rng(0))
+    ping, z = survey(9), np.linspace(0.4, 4.2, 30)[:, None]
+    laws = [model.law(ping) for model in (found.model, found.elsewhere())]
+    np.testing.assert_allclose(laws[0].arrival(z), laws[1].arrival(z), atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def with_memory():
     return forest_of(alternating(1))

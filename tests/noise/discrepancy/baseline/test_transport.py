@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from acquisition import EchoStatus, Ping, Reading
 from noise import GaussianModel, load_model, save_model
 from noise.discrepancy.baseline.forest import grown
-from noise.discrepancy.baseline.transport import Transport
+from noise.discrepancy.baseline.transport import Transport, transforms
 from noise.discrepancy.judge.difference import is_carried
 from noise.discrepancy.judge.held_out import Simulation
 from noise.replay import with_simulated
@@ -93,6 +93,15 @@ def test_each_law_is_that_given_the_reading_before_in_its_own_file():
         with_simulated(PING, reading, before), Reading.of(np.full(N, 2.0))
     )
     np.testing.assert_allclose(found.sample(rng).range[1:], 2.0 + innovation[1:], atol=0.0035)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_transforms_enclose_probabilities_that_sum_to_one(seed):
+    law = GaussianModel(0.01, 0.0, 0.1).law(PING)
+    low, high = transforms(law, law.sample(np.random.default_rng(seed)))
+    assert ((low >= 0.0) & (low <= high) & (high <= 1.0)).all()
+    silent = transforms(law, Reading.of(np.zeros(len(PING))))
+    np.testing.assert_allclose(silent[1] - silent[0], law.no_echo, atol=1e-12)
 
 
 def test_silence_becomes_as_frequent_as_under_the_other_law():

@@ -19,6 +19,12 @@ MOVED = {**LOUD, "zero_offset": {"offset_m": 0.03}}
 WITHOUT = model_of(LOUD)
 
 
+def options(forest, gain, **named):
+    """Return options of which all but the named ones do not exist."""
+    none = dict.fromkeys(("with_causes", "with_term", "on_simulation", "with_both"))
+    return Options(**none | named, forest=forest, causes_gain=gain, without=WITHOUT)
+
+
 def option(model, *batches):
     return option_of([model] * len(batches), batches)
 
@@ -38,13 +44,16 @@ def parts():
 def test_the_law_that_made_the_readings_is_offered(parts):
     unseen, seen, forest = parts
     laws = (option(model_of(MOVED), unseen, seen), option(model_of(LOUD), unseen, seen))
-    assert Options(*laws, None, forest, True, WITHOUT).corrected(Simulation(model_of(LOUD))) is laws[0].model
+    assert (
+        options(forest, True, with_causes=laws[0], with_term=laws[1]).corrected(Simulation(model_of(LOUD)))
+        is laws[0].model
+    )
 
 
 def test_nothing_beats_a_simulation_that_is_right(parts):
     unseen, seen, forest = parts
     law = option(model_of({**MOVED, "zero_offset": {"offset_m": 0.032}}), unseen, seen)
-    assert Options(law, None, None, forest, True, WITHOUT).corrected(Simulation(model_of(MOVED))) is None
+    assert options(forest, True, with_causes=law).corrected(Simulation(model_of(MOVED))) is None
 
 
 @pytest.mark.parametrize("certain", [True, False])
@@ -56,7 +65,7 @@ def test_a_gain_too_small_for_the_crps_counts_where_the_log_score_is_certain_of_
     assert before.gain(*law.scored).sum() > 0.0
     assert not before.is_beaten(*law.scored)
     worse = Option(forest.model, lambda tolerance: tuple((batch, 2.0 * crps) for batch, crps in law.score(tolerance)))
-    found = Options(law, None, None, worse, certain, WITHOUT).corrected(before)
+    found = options(worse, certain, with_causes=law).corrected(before)
     assert found is (law.model if certain else None)
 
 
@@ -68,8 +77,8 @@ def test_a_few_missed_echoes_do_not_hide_a_correction_that_is_certain(parts):
     unlucky = Option(law.model, lambda tolerance: ((batch, missed),) if tolerance is None else law.score(tolerance))
     assert before.gain(*unlucky.scored).sum() < 0.0
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in unlucky.score(tolerance)))
-    assert Options(unlucky, None, None, worse, True, WITHOUT).corrected(before) is law.model
-    assert Options(unlucky, None, None, worse, False, WITHOUT).corrected(before) is None
+    assert options(worse, True, with_causes=unlucky).corrected(before) is law.model
+    assert options(worse, False, with_causes=unlucky).corrected(before) is None
 
 
 @pytest.mark.parametrize(("offset_m", "offered_"), [(0.03, True), (-0.03, False)])
@@ -80,7 +89,7 @@ def test_what_a_model_misses_of_the_simulation_does_not_hide_causes_that_surely_
     on_it = option(model_of({**MOVED, "zero_offset": {"offset_m": offset_m}}), seen)
     assert not before.is_beaten(*on_it.scored)
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * crps) for b, crps in forest.score(tolerance)[1:]))
-    found = Options(None, None, on_it, worse, False, WITHOUT).corrected(before)
+    found = options(worse, False, on_simulation=on_it).corrected(before)
     assert found is (on_it.model if offered_ else None)
 
 
@@ -91,8 +100,7 @@ def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
     assert term.beats(model_of({**MOVED, "zero_offset": {"offset_m": 0.1}}))
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in term.score(tolerance)))
     found = [
-        Options(None, term, None, worse, False, WITHOUT).corrected(Simulation(model))
-        for model in (term.model, model_of(LOUD))
+        options(worse, False, with_term=term).corrected(Simulation(model)) for model in (term.model, model_of(LOUD))
     ]
     assert found == [None, term.model]
 
@@ -106,9 +114,30 @@ def test_two_visits_suffice_to_apply_a_cause_that_predicts_them_better(parts, of
     assert gains(replace(law, nats=(log_score(law.model, two),)), model_of(LOUD)) is better
 
 
+def test_what_rests_on_a_forest_is_preferred_to_a_law_only_where_it_is_better_beyond_chance(parts):
+    seen, forest = parts[1], parts[2]
+    law = option(model_of({**MOVED, "zero_offset": {"offset_m": 0.031}}), seen)
+    before = Simulation(model_of(LOUD))
+
+    def scaled(factor):
+        """Return a forest with a multiple of the law's scores, which differs from visit to visit."""
+
+        def score(tolerance):
+            return tuple((b, factor * each + _uneven(b)) for b, each in law.score(tolerance))
+
+        return Option(forest.model, score)
+
+    found = [options(scaled(factor), True, with_causes=law).corrected(before) for factor in (0.999, 0.5)]
+    assert found == [law.model, forest.model]
+
+
+def _uneven(batch):
+    return 1e-4 * np.where(np.arange(batch.n_visits) % 2, 1.0, -1.0)[batch.visit]
+
+
 def test_without_a_law_the_forest_is_offered(parts):
     forest = parts[2]
-    assert Options(None, None, None, forest, False, WITHOUT).corrected(Simulation(model_of(LOUD))) is forest.model
+    assert options(forest, False).corrected(Simulation(model_of(LOUD))) is forest.model
 
 
 def test_the_law_without_causes_has_all_else_as_the_recording_has_it():
@@ -121,8 +150,8 @@ def test_the_law_without_causes_has_all_else_as_the_recording_has_it():
         believed=("zero_offset",), final=SimpleNamespace(single=one), found=SimpleNamespace(stacks=(stack, stack))
     )
     before = Simulation(model_of(LOUD))
-    options = Options.of(judged, search, grown(search.folds.both, rng), before, model_of(LOUD), 0.001, rng)
-    law, without = (each.law(batch.ping) for each in (options.causes_only, options.without))
+    found = Options.of(judged, search, grown(search.folds.both, rng), before, model_of(LOUD), 0.001, None)
+    law, without = (each.law(batch.ping) for each in (found.causes_only, found.without))
     np.testing.assert_array_equal(without.echo, law.echo)
     heard = law.echo > 0.5
     np.testing.assert_allclose((law.quantile(0.5) - without.quantile(0.5))[heard], 0.03, atol=0.0011)
