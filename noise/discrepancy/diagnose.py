@@ -17,11 +17,10 @@ from acquisition.io.given import RecordingLike, as_recording
 from acquisition.limits import OneOf, Seed, check_value, shown
 from noise.discrepancy.baseline.forest import Grown, grown
 from noise.discrepancy.baseline.sources import Baseline, baseline_of
-from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.inputs import Progress, Simulator, as_model, check_conditions, warnings_of
 from noise.discrepancy.judge.accepted import Comparing, Comparison
-from noise.discrepancy.judge.correction import Options, empirical_term, offered
-from noise.discrepancy.judge.difference import WORSE, difference, is_carried, worsens
+from noise.discrepancy.judge.correction import Options, empirical_term
+from noise.discrepancy.judge.difference import WORSE, difference, transport, worsens
 from noise.discrepancy.judge.held_out import Simulation, held_out
 from noise.discrepancy.judge.judged import Judged, judge
 from noise.discrepancy.judge.shares import Rest
@@ -257,7 +256,8 @@ def _different(
     acting, left_out = difference(judged, search, options, emulator, step_m)
     if acting is not None and worsens(acting, data.simulation, data.folds.unseen, data.rng("acting")):
         acting, left_out = None, dict.fromkeys(judged.believed, WORSE)
-    carrying = transport(data, search, options, corrected, acting)
+    readings, forest = data.simulation, data.baseline.forest
+    carrying = transport(search, options, term, corrected, acting, readings, forest, data.batch, data.rng("transport"))
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     likely = {p.effect: p.likely for p in judged.places}
     return replace(diagnosis, difference=acting, left_out=left_out, evidence=judged.evidence, likely=likely)
@@ -275,28 +275,6 @@ def _judged(data: Data, tested: Tested, without: tuple[str, ...]) -> tuple[Searc
     data.tell("weighing", 0.7)
     rest = Rest(search, data.forest, data.baseline.forest)
     return search, judge(rest, none, found, tested.p_value, comparing, partial(steady, data, search), data.rng("judge"))
-
-
-def transport(
-    data: Data, search: Search, options: Options, corrected: SonarModel | None, acting: SonarModel | None
-) -> Transport | None:
-    """Return what carries readings of the simulation to the recording's law; None where the causes predict as well.
-
-    The laws differ by the causes and by the empirical term alone, so that where a target begins to be heard, say, is
-    the same in both. That of the recording must predict it better than that of the simulation. A forest of the
-    recording says nothing of other conditions, under which readings are to be corrected too.
-    """
-    forest, term = data.baseline.forest, options.with_term
-    law = corrected if term is None else term.model
-    if data.baseline.readings is None or forest is None or law is None or law is data.forest.model:
-        return None
-    own = options.without if term is None else offered(search.common, term.model.resolution)
-    if term is not None and not term.beats(own):
-        return None
-    carrying = Transport(own, law)
-    rng = data.rng("transport")
-    better = is_carried(data.simulation, forest, acting, carrying, data.folds.unseen, rng, sure=term is not None)
-    return carrying if better else None
 
 
 def against(data: Data, compared: Comparison) -> Tested:

@@ -26,7 +26,6 @@ from noise.discrepancy.judge.held_out import (
     Simulation,
     beyond_chance,
     crps_of_each,
-    crps_under,
     improves,
     log_score,
 )
@@ -88,6 +87,7 @@ class Options:
         forest: a forest of the recording.
         causes_gain: whether the law with causes predicts better than the emulator.
         without: the law with the causes taken back, and all else as the recording has it.
+        shared: the law of the simulation with the believed causes.
     """
 
     with_causes: Option | None
@@ -97,6 +97,12 @@ class Options:
     forest: Option
     causes_gain: bool
     without: SonarModel
+    shared: SonarModel
+
+    @property
+    def is_sure_of_term(self) -> bool:
+        """Whether a model with the empirical term is better beyond chance than the same without it."""
+        return self.with_term is not None or self.with_both is not None
 
     @property
     def causes_only(self) -> SonarModel | None:
@@ -136,7 +142,8 @@ class Options:
             gain = gains(with_causes, emulator)
         on_simulation, with_both = _on_simulation(judged, search, before, step_m, term, parts)
         with_term = _with_term(term, shared, parts, shared[0])
-        return cls(with_causes, with_term, on_simulation, with_both, _crossed(forest, search, parts), gain, without)
+        grown = _crossed(forest, search, parts)
+        return cls(with_causes, with_term, on_simulation, with_both, grown, gain, without, shared[0])
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
@@ -252,11 +259,8 @@ def _with_term(
     """
     if term is None:
         return None
-    pairs = list(zip(models, parts, strict=False))
-    found = Option(
-        term.on(offered),
-        lambda tolerance: tuple((batch, crps_under(term.law(m, batch), batch, tolerance)) for m, batch in pairs),
-    )
+    crossed = [term.crossed(model, part) for model, part in zip(models, parts, strict=False)]
+    found = replace(option_of(crossed, parts), model=term.on(offered))
     return found if found.is_better_than(option_of(models, parts)) else None
 
 

@@ -7,16 +7,18 @@ with the causes applied to them may be closer to the recording than any law, whe
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from noise.discrepancy.baseline.forest import Grown
+from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.accepted import acting_on, applied
-from noise.discrepancy.judge.correction import Options
+from noise.discrepancy.judge.correction import Options, offered
 from noise.discrepancy.judge.held_out import Simulation, beyond_chance, crps_of_each, improves
 from noise.discrepancy.judge.judged import Judged
+from noise.discrepancy.judge.term import Term
 from noise.discrepancy.name.search import Search
 from noise.fitting.batch import Batch
 from noise.model import SonarModel
@@ -63,12 +65,57 @@ def worsens(acting: SonarModel, simulation: Simulation, unseen: Batch, rng: np.r
     return not improves(applied.gain_on(simulation, unseen), applied.near.gain_on(simulation.near, unseen))
 
 
+def transport(
+    search: Search,
+    options: Options,
+    term: Term | None,
+    corrected: SonarModel | None,
+    acting: SonarModel | None,
+    simulation: Simulation,
+    forest: Grown | None,
+    recorded: Batch,
+    rng: np.random.Generator,
+) -> Transport | None:
+    """Return what carries readings of the simulation to the recording's law; None where the causes predict as well.
+
+    The laws differ by the causes and by the empirical term alone, so that where a target begins to be heard, say, is
+    the same in both. That of the recording must predict it better than that of the simulation. A forest of the
+    recording says nothing of other conditions, under which readings are to be corrected too.
+
+    Args:
+        search: readings and candidates.
+        options: models that may be offered.
+        term: the empirical term; None where there is none.
+        corrected: the corrected model; None where none is offered.
+        acting: the causes, acting on given readings; None where there are none.
+        simulation: the user's simulation.
+        forest: of its readings; None where it has none.
+        recorded: all readings of the recording.
+        rng: draws the readings.
+    """
+    if simulation.readings is None or forest is None:
+        return None
+    if term is None:
+        if corrected is None or isinstance(corrected, AnalogueForest):
+            return None
+        carrying = Transport(options.without, corrected)
+        better = is_carried(simulation, forest, acting, lambda _: carrying, search.folds.unseen, rng)
+        return carrying if better else None
+    own, law = offered(search.common, options.without.resolution), options.shared
+
+    def crossed(readings: Batch) -> Transport:
+        return Transport(own, term.crossed(law, readings, simulated=True))
+
+    better = is_carried(simulation, forest, acting, crossed, recorded, rng, sure=options.is_sure_of_term)
+    return Transport(own, term.on(law)) if better else None
+
+
 def is_carried(
     simulation: Simulation,
     forest: Grown,
     acting: SonarModel | None,
-    carrying: Transport,
-    unseen: Batch,
+    carrying: Callable[[Batch], Transport],
+    recorded: Batch,
     rng: np.random.Generator,
     sure: bool = False,
 ) -> bool:
@@ -82,22 +129,22 @@ def is_carried(
         simulation: the user's simulation.
         forest: of its readings.
         acting: the causes, acting on its readings; None where there are none, and the readings remain.
-        carrying: carries readings from the law of the simulation to that of the recording.
-        unseen: visits of the recording that no estimate used.
+        carrying: of its readings, what carries them from the law of the simulation to that of the recording.
+        recorded: visits of the recording that no estimate used for what is carried.
         rng: draws the readings.
-        sure: whether the other law has been found better than the same without its empirical term, beyond chance.
+        sure: whether a law has been found better than the same without the empirical term, beyond chance.
     """
-    common = simulation.has_any_of(unseen)
+    common = simulation.has_any_of(recorded)
     if simulation.readings is None or (acting is not None and not common):
         return False
     if common:
         known = simulation if acting is None else _applied(acting, simulation, rng)
-        carried = _applied(carrying, simulation, rng)
-        gain, near = carried.gain_on(known, unseen), carried.near.gain_on(known.near, unseen)
+        carried = _applied(carrying(simulation.readings), simulation, rng)
+        gain, near = carried.gain_on(known, recorded), carried.near.gain_on(known.near, recorded)
     else:
-        before, after = Simulation(forest.model), forest.of_others(applied(carrying, forest.batch, rng))
-        scored = ((each, crps_of_each(after, unseen, each.tolerance)) for each in (before, before.near))
-        gain, near = (each.gain((unseen, crps)) for each, crps in scored)
+        before, after = Simulation(forest.model), forest.of_others(applied(carrying(forest.batch), forest.batch, rng))
+        scored = ((each, crps_of_each(after, recorded, each.tolerance)) for each in (before, before.near))
+        gain, near = (each.gain((recorded, crps)) for each, crps in scored)
     return improves(gain, near) if sure and acting is None else beyond_chance(gain)
 
 

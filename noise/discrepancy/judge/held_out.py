@@ -19,7 +19,6 @@ from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import LEVEL, HeldOut, Interval, Score
 from noise.fitting.batch import Batch
 from noise.fitting.stack import Stack
-from noise.law import EchoLaw
 from noise.metrics import ClusterMean, crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
@@ -34,12 +33,7 @@ def crps(model: SonarModel, batch: Batch) -> float:
 
 def crps_of_each(model: SonarModel, batch: Batch, tolerance: float | None = None) -> Floats:
     """Return the CRPS of each reading with silence counted, m, (n,); see `crps_with_silence` on the tolerance."""
-    return crps_under(model.law(batch.ping, batch.past), batch, tolerance)
-
-
-def crps_under(law: EchoLaw, batch: Batch, tolerance: float | None = None) -> Floats:
-    """Return the same under a law of the pings of a batch, m, (n,)."""
-    return np.asarray(crps_with_silence(law, batch.reading, tolerance=tolerance))
+    return np.asarray(crps_with_silence(model.law(batch.ping, batch.past), batch.reading, tolerance=tolerance))
 
 
 @dataclass(frozen=True, eq=False)

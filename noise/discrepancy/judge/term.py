@@ -20,8 +20,18 @@ import numpy as np
 import pandas as pd
 from sklearn.ensemble import GradientBoostingRegressor
 
+from acquisition import Ping, Reading
 from acquisition.arrays import Floats, Ints
-from noise.discrepancy.baseline.adjusted import GAINED, LOST, SHIFT, SPREAD, Adjusted, AdjustedLaw, Boosted
+from noise.discrepancy.baseline.adjusted import (
+    GAINED,
+    LOST,
+    SHIFT,
+    SPREAD,
+    Adjusted,
+    AdjustedLaw,
+    Amounts,
+    Boosted,
+)
 from noise.discrepancy.baseline.trees import Trees, columns, input_groups
 from noise.discrepancy.judge.held_out import beyond_chance
 from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, contrast_of
@@ -55,28 +65,56 @@ class Learned:
 
 
 @dataclass(frozen=True, eq=False)
+class CrossedModel:
+    """A model with the term, for readings that it was learned from: as it is without their clusters.
+
+    Attributes:
+        model: the model.
+        amount: of the term at each reading.
+    """
+
+    model: SonarModel
+    amount: Amounts
+
+    @property
+    def resolution(self) -> float:
+        """Step of the register, m."""
+        return self.model.resolution
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the law depends on the previous reading, apart from the term."""
+        return self.model.remembers
+
+    def law(self, ping: Ping, past: Reading | None = None) -> AdjustedLaw:
+        """Return the law of the pings of these readings, (n,)."""
+        return AdjustedLaw(self.model.law(ping, past), self.amount)
+
+
+@dataclass(frozen=True, eq=False)
 class Term:
     """The empirical term.
 
     Attributes:
         parts: functions of a ping, by name.
-        crossed: their values by trees that lack the cluster of a ping, by its row in the recording.
+        recorded, simulated: their values by trees that lack the cluster of a ping, by its row in each file.
     """
 
     parts: Mapping[str, Boosted]
-    crossed: Mapping[str, pd.Series]
+    recorded: Mapping[str, pd.Series]
+    simulated: Mapping[str, pd.Series]
 
     def on(self, model: SonarModel) -> Adjusted:
         """Return a model with the term."""
         return Adjusted(model, self.parts)
 
-    def law(self, model: SonarModel, batch: Batch) -> AdjustedLaw:
-        """Return the law of readings of the recording under a model with the term, as it is without their clusters."""
-        amount = {}
+    def crossed(self, model: SonarModel, batch: Batch, simulated: bool = False) -> CrossedModel:
+        """Return a model with the term for readings of one of the files, as it is without their clusters."""
+        amount, crossed = {}, self.simulated if simulated else self.recorded
         for name, part in self.parts.items():
-            known = self.crossed[name].reindex(batch.row).to_numpy()
+            known = crossed[name].reindex(batch.row).to_numpy()
             amount[name] = np.where(np.isnan(known), part(batch.ping, batch.past), known)
-        return AdjustedLaw(model.law(batch.ping, batch.past), amount)
+        return CrossedModel(model, amount)
 
 
 def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Generator) -> Term | None:
@@ -92,9 +130,13 @@ def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Ge
     if few.simulated is not None:
         few = replace(few, simulated=few.simulated.thin(MAX_PINGS))
     found = Residuals(recorded, simulated, few, rng).parts()
-    rows, own = few.recorded.row, few.is_recorded
-    crossed = {name: pd.Series(each.crossed[own], rows) for name, each in found.items()}
-    return Term({name: each.function for name, each in found.items()}, crossed) if found else None
+    if not found:
+        return None
+    files = [
+        {name: pd.Series(each.crossed[rows], batch.row) for name, each in found.items()}
+        for rows, batch in zip((few.is_recorded, ~few.is_recorded), few.batches, strict=False)
+    ]
+    return Term({name: each.function for name, each in found.items()}, files[0], files[-1])
 
 
 class Residuals:

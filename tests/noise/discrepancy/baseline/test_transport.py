@@ -145,7 +145,7 @@ def test_readings_are_carried_only_to_a_law_that_predicts_unseen_visits_better(o
     transport = Transport(model_of(LOUD), other)
     simulation = Simulation(model_of(LOUD), simulated)
     forest = grown(simulated, np.random.default_rng(0))
-    assert is_carried(simulation, forest, None, transport, recorded, np.random.default_rng(0)) is expected
+    assert is_carried(simulation, forest, None, lambda _: transport, recorded, np.random.default_rng(0)) is expected
 
 
 @pytest.mark.parametrize(("offset_m", "expected"), [(0.03, True), (-0.03, False)])
@@ -154,5 +154,5 @@ def test_without_common_conditions_a_forest_of_the_readings_tells_whether_to_car
     transport = Transport(model_of(LOUD), model_of({**LOUD, "zero_offset": {"offset_m": offset_m}}))
     simulation, rng = Simulation(model_of(LOUD), simulated), np.random.default_rng(0)
     forest = grown(simulated, rng)
-    assert is_carried(simulation, forest, None, transport, recorded, rng) is expected
-    assert not is_carried(simulation, forest, model_of(LOUD), transport, recorded, rng)
+    assert is_carried(simulation, forest, None, lambda _: transport, recorded, rng) is expected
+    assert not is_carried(simulation, forest, model_of(LOUD), lambda _: transport, recorded, rng)

@@ -22,7 +22,7 @@ WITHOUT = model_of(LOUD)
 def options(forest, gain, **named):
     """Return options of which all but the named ones do not exist."""
     none = dict.fromkeys(("with_causes", "with_term", "on_simulation", "with_both"))
-    return Options(**none | named, forest=forest, causes_gain=gain, without=WITHOUT)
+    return Options(**none | named, forest=forest, causes_gain=gain, without=WITHOUT, shared=WITHOUT)
 
 
 def option(model, *batches):
