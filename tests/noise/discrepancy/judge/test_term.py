@@ -108,7 +108,8 @@ def test_no_value_for_a_reading_of_the_recording_comes_from_trees_that_have_seen
     """Readings that are chance alone: trees follow the chance of the pings that they have seen, and not of others."""
     sample = pair(longer)
     term = term_of(LAW, LAW, sample, np.random.default_rng(0))
-    crossed = term.law(LAW.single_ping_model, sample.recorded)
+    seen = sample.recorded
+    crossed = term.crossed(LAW.single_ping_model, seen).law(seen.ping, seen.past)
     whole = term.on(LAW.single_ping_model).law(sample.recorded.ping, sample.recorded.past)
     assert not np.array_equal(crossed.shift, whole.shift)
     error = np.where(sample.recorded.reading.echo, sample.recorded.error, np.nan)
