@@ -259,8 +259,8 @@ def _with_term(
     """
     if term is None:
         return None
-    crossed = [term.crossed(model, part) for model, part in zip(models, parts, strict=False)]
-    found = replace(option_of(crossed, parts), model=term.on(offered))
+    fitted = [term.cross_fitted(model, part) for model, part in zip(models, parts, strict=False)]
+    found = replace(option_of(fitted, parts), model=term.on(offered))
     return found if found.is_better_than(option_of(models, parts)) else None
 
 

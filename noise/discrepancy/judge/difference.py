@@ -104,7 +104,7 @@ def transport(
     own, law = offered(search.common, options.without.resolution), options.shared
 
     def crossed(readings: Batch) -> Transport:
-        return Transport(own, term.crossed(law, readings, simulated=True))
+        return Transport(own, term.cross_fitted(law, readings, simulated=True))
 
     better = is_carried(simulation, forest, acting, crossed, recorded, rng, sure=options.is_sure_of_term)
     return Transport(own, term.on(law)) if better else None

@@ -55,17 +55,17 @@ class Learned:
 
     Attributes:
         function: of a ping.
-        crossed: its value at each ping by trees that lack the ping's cluster, (n,).
+        cross_fitted: its value at each ping by trees that lack the ping's cluster, (n,).
         gain: in loss on such clusters, (clusters,).
     """
 
     function: Boosted
-    crossed: Floats
+    cross_fitted: Floats
     gain: Floats
 
 
 @dataclass(frozen=True, eq=False)
-class CrossedModel:
+class CrossFittedModel:
     """A model with the term, for readings that it was learned from: as it is without their clusters.
 
     Attributes:
@@ -108,13 +108,13 @@ class Term:
         """Return a model with the term."""
         return Adjusted(model, self.parts)
 
-    def crossed(self, model: SonarModel, batch: Batch, simulated: bool = False) -> CrossedModel:
+    def cross_fitted(self, model: SonarModel, batch: Batch, simulated: bool = False) -> CrossFittedModel:
         """Return a model with the term for readings of one of the files, as it is without their clusters."""
-        amount, crossed = {}, self.simulated if simulated else self.recorded
+        amount, values = {}, self.simulated if simulated else self.recorded
         for name, part in self.parts.items():
-            known = crossed[name].reindex(batch.row).to_numpy()
+            known = values[name].reindex(batch.row).to_numpy()
             amount[name] = np.where(np.isnan(known), part(batch.ping, batch.past), known)
-        return CrossedModel(model, amount)
+        return CrossFittedModel(model, amount)
 
 
 def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Generator) -> Term | None:
@@ -133,7 +133,7 @@ def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Ge
     if not found:
         return None
     files = [
-        {name: pd.Series(each.crossed[rows], batch.row) for name, each in found.items()}
+        {name: pd.Series(each.cross_fitted[rows], batch.row) for name, each in found.items()}
         for rows, batch in zip((few.is_recorded, ~few.is_recorded), few.batches, strict=False)
     ]
     return Term({name: each.function for name, each in found.items()}, files[0], files[-1])
@@ -177,7 +177,7 @@ class Residuals:
             return None
         residual, contrast, valid = known
         if shift is not None:
-            residual = residual - contrast * 0.5 * np.clip(shift.crossed / self.scored.sigma, -LIMIT, LIMIT) ** 2
+            residual = residual - contrast * 0.5 * np.clip(shift.cross_fitted / self.scored.sigma, -LIMIT, LIMIT) ** 2
         return self._learned(residual, contrast, valid)
 
     def _rate(self, lost: bool) -> Learned | None:
@@ -188,7 +188,7 @@ class Residuals:
         residual, contrast, valid = known
         rate = np.clip(self.sample_echo - residual, MIN_RATE, 1.0 - MIN_RATE)
         weight = valid / np.maximum(rate * (1.0 - rate), MIN_VARIANCE)
-        return self._learned(residual, contrast * (-rate if lost else 1.0 - rate), weight)
+        return self._learned(residual, contrast, weight, -rate if lost else 1.0 - rate)
 
     @cached_property
     def sample_echo(self) -> Floats:
@@ -204,27 +204,49 @@ class Residuals:
         residual = group.natural[:, int(np.flatnonzero(group.aspects == a)[0])]
         return residual, group.contrast[self.contrast.units], group.valid.astype(np.float64)
 
-    def _learned(self, residual: Floats, contrast: Floats, weight: Floats) -> Learned | None:
+    def _learned(
+        self, residual: Floats, contrast: Floats, weight: Floats, factor: Floats | float = 1.0
+    ) -> Learned | None:
         """Return the function of a ping, of some inputs, that has the least squared loss on clusters that trees lack.
 
         Args:
-            residual: contrast x function + noise, (n,).
-            contrast: its factor, (n,).
+            residual: contrast x factor x function + noise, (n,).
+            contrast: D - m(x), (n,).
             weight: inverse variance of the noise, up to a factor, (n,).
+            factor: of the function, (n,).
         """
-        contrast = np.where(np.abs(contrast) < MIN_CONTRAST, 0.0, contrast)
-        strength = weight * contrast**2
-        used = strength > 0.0
-        if any((used & (self.fold != k)).sum() < 2 * MIN_LEAF for k in range(N_FOLDS)):
-            return None
-        target = np.divide(residual, contrast, out=np.zeros_like(residual), where=used)
-        every = (self._boosted(names, target, strength) for names in input_groups(self.sample.recorded))
-        return max((each for each in every if each), key=lambda each: each.gain.sum(), default=None)
+        both = np.where(np.abs(contrast) < MIN_CONTRAST, 0.0, contrast * factor)
+        strength = weight * both**2
+        target = np.divide(residual, both, out=np.zeros_like(residual), where=strength > 0.0)
+        groups = input_groups(self.sample.recorded)
+        shared = dict.fromkeys(tuple(name for name in names if name not in self.recorded_only) for names in groups)
+        every = [self._boosted(names, target, strength) for names in shared if names]
+        best = max((each for each in every if each), key=lambda each: each.gain.sum(), default=None)
+        if not self.recorded_only:
+            return best
+        # of what the recording alone has, a condition tells its mean alone: r = k (delta - m E[delta | x]) where D = 1
+        mean = np.zeros_like(residual) if best is None else best.cross_fitted
+        strength = strength / np.maximum(contrast**2, MIN_CONTRAST**2) * self.sample.is_recorded
+        target = np.divide(residual, factor) + (1.0 - contrast) * mean
+        finer = self._boosted(groups[-1], target, strength)
+        before = np.sum(strength * (target**2 - (target - mean) ** 2))
+        return finer if finer is not None and finer.gain.sum() > before else best
+
+    @cached_property
+    def recorded_only(self) -> set[str]:
+        """Columns that the recording alone logs."""
+        return set(self.sample.recorded.ping.covariates) - set(self.sample.batches[-1].ping.covariates)
 
     def _boosted(self, names: tuple[str, ...], target: Floats, strength: Floats) -> Learned | None:
         """Return a function of inputs; None where no tree predicts clusters better that it lacks."""
-        x = np.concatenate([columns(names, batch.ping, batch.past, {}) for batch in self.sample.batches])
-        used, steps = strength > 0.0, np.zeros((N_TREES + 1, len(x)))
+        used = strength > 0.0
+        if any((used & (self.fold != k)).sum() < 2 * MIN_LEAF for k in range(N_FOLDS)):
+            return None
+        recorded, *simulated = self.sample.batches
+        own = columns(names, recorded.ping, recorded.past, {})
+        typical = dict(zip(names, np.median(own, axis=0).tolist(), strict=True))  # of what the recording alone has
+        x = np.concatenate([own, *(columns(names, each.ping, each.past, typical) for each in simulated)])
+        steps = np.zeros((N_TREES + 1, len(x)))
         for k in range(N_FOLDS):
             grown, other = used & (self.fold != k), self.fold == k
             model = _boosting(N_TREES, self.rng).fit(x[grown], target[grown], sample_weight=strength[grown])
@@ -235,7 +257,7 @@ class Residuals:
             return None
         whole = _boosting(best, self.rng).fit(x[used], target[used], sample_weight=strength[used])
         gain = np.asarray(np.bincount(self.label, loss[0] - loss[best]), dtype=np.float64)
-        return Learned(_function(whole, names, x, self.sample.recorded), steps[best], gain)
+        return Learned(_function(whole, typical, recorded), steps[best], gain)
 
 
 def _boosting(n_trees: int, rng: np.random.Generator) -> GradientBoostingRegressor:
@@ -249,11 +271,12 @@ def _boosting(n_trees: int, rng: np.random.Generator) -> GradientBoostingRegress
     )
 
 
-def _function(grown: GradientBoostingRegressor, names: tuple[str, ...], x: Floats, recorded: Batch) -> Boosted:
+def _function(grown: GradientBoostingRegressor, typical: Mapping[str, float], recorded: Batch) -> Boosted:
+    """Return a sum of trees of scikit-learn, given the medians of its inputs, as a function of a ping."""
     trees = [each.tree_ for each in grown.estimators_[:, 0]]
     value = np.concatenate([np.where(each.children_left < 0, RATE * each.value[:, 0, 0], 0.0) for each in trees])
     times = float(recorded.ping.time.min()), float(recorded.ping.time.max())
-    return Boosted(names, times, np.median(x, axis=0), Trees.of(trees), value)
+    return Boosted(tuple(typical), times, np.array([*typical.values()]), Trees.of(trees), value)
 
 
 def _units(sample: Sample) -> Ints:

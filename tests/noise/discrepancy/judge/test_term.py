@@ -1,5 +1,6 @@
 """The empirical term: what has no name is learned from the difference of two files, and errors of a law are not."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_no_value_for_a_reading_of_the_recording_comes_from_trees_that_have_seen
     sample = pair(longer)
     term = term_of(LAW, LAW, sample, np.random.default_rng(0))
     seen = sample.recorded
-    crossed = term.crossed(LAW.single_ping_model, seen).law(seen.ping, seen.past)
+    crossed = term.cross_fitted(LAW.single_ping_model, seen).law(seen.ping, seen.past)
     whole = term.on(LAW.single_ping_model).law(sample.recorded.ping, sample.recorded.past)
     assert not np.array_equal(crossed.shift, whole.shift)
     error = np.where(sample.recorded.reading.echo, sample.recorded.error, np.nan)
@@ -122,6 +123,18 @@ def test_where_the_law_of_the_simulation_is_known_the_recording_alone_is_enough(
     term = term_of(LAW, LAW, Sample(recorded, None), np.random.default_rng(0))
     far = Ping.of(distance=np.linspace(2.3, 3.3, 20))
     assert term.on(PhysicalModel([])).law(far).shift.mean() == pytest.approx(0.03, abs=0.004)
+
+
+def test_what_the_recording_alone_logs_is_an_input():
+    """Readings are 30 mm longer in the sun, of which the simulation knows nothing."""
+    recording = recording_of(LOUD, seed=0, visits=VISITS, pings=PINGS)
+    light = np.repeat(np.random.default_rng(1).uniform(0.0, 1.0, VISITS), PINGS)
+    ping = replace(recording.ping, covariates={"light": light})
+    recorded = Batch.of(Recording.of(ping, moved(recording.reading, 0.03 * (light > 0.5))))
+    sample = Sample(recorded, pair(None).simulated)
+    term = term_of(LAW, LAW, sample, np.random.default_rng(0))
+    sunny = replace(Ping.of(distance=np.linspace(0.6, 3.3, 20)), covariates={"light": np.full(20, 0.9)})
+    assert term.on(PhysicalModel([])).law(sunny).shift.mean() == pytest.approx(0.03, abs=0.006)
 
 
 def test_the_same_generator_gives_the_same_term():
