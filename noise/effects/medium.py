@@ -155,8 +155,8 @@ def _growth(length: Tensor) -> Tensor:
 
 def _swing(name: str, start: float) -> Parameter:
     """Return the parameter of one phase of an oscillation of the air temperature."""
-    source = "heating 0.3 to 1.5 K; days outdoors: chosen here"
-    return Parameter(name, "K", 0.0, -15.0, 15.0, source, (start,), typical=1.0, adds=True)
+    source = "heating 0.3 to 1.5 K; between -10 and 45 °C: chosen here"
+    return Parameter(name, "K", 0.0, -27.5, 27.5, source, (start,), typical=1.0, adds=True)
 
 
 class ThermalDrift(Effect):
@@ -174,9 +174,9 @@ class ThermalDrift(Effect):
             "rate_k_per_h",
             "K/h",
             0.0,
-            -20.0,
-            20.0,
-            "rooms 0.3 to 1.5 K in hours; wider: chosen here",
+            -165.0,
+            165.0,
+            "rooms 0.3 to 1.5 K in hours; from -10 to 45 °C in 20 min: chosen here",
             (0.5, -0.5),
             typical=1.0,
             adds=True,
