@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise.discrepancy.baseline.adjusted import Adjusted
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
 from noise.discrepancy.baseline.transport import Transport
 from noise.discrepancy.judge.accepted import acting_on, applied
@@ -95,19 +96,19 @@ def transport(
     """
     if simulation.readings is None or forest is None:
         return None
-    if term is None:
-        if corrected is None or isinstance(corrected, AnalogueForest):
-            return None
-        carrying = Transport(options.without, corrected)
-        better = is_carried(simulation, forest, acting, lambda _: carrying, search.folds.unseen, rng)
-        return carrying if better else None
-    own, law = offered(search.common, options.without.resolution), options.shared
+    if term is not None:
+        own, law = offered(search.common, options.without.resolution), options.shared
 
-    def crossed(readings: Batch) -> Transport:
-        return Transport(own, term.cross_fitted(law, readings, simulated=True))
+        def cross_fitted(readings: Batch) -> Transport:
+            return Transport(own, term.cross_fitted(law, readings, simulated=True))
 
-    better = is_carried(simulation, forest, acting, crossed, recorded, rng, sure=options.is_sure_of_term)
-    return Transport(own, term.on(law)) if better else None
+        if is_carried(simulation, forest, acting, cross_fitted, recorded, rng, sure=options.is_sure_of_term):
+            return Transport(own, term.on(law))
+    if corrected is None or isinstance(corrected, AnalogueForest | Adjusted):
+        return None
+    carrying = Transport(options.without, corrected)
+    better = is_carried(simulation, forest, acting, lambda _: carrying, search.folds.unseen, rng)
+    return carrying if better else None
 
 
 def is_carried(
