@@ -244,12 +244,20 @@ class Boosted(Leaves):
     value: Numbers
 
 
+class Outliers(Schema):
+    """See `noise.discrepancy.baseline.adjusted.Outliers`."""
+
+    form: Literal["range", "offset", "ratio"]
+    value: Numbers
+
+
 class Adjusted(Kind):
     """See `noise.discrepancy.baseline.adjusted.Adjusted`."""
 
     kind: Literal["adjusted"]
     model: Model
-    parts: dict[Literal["shift", "spread", "lost", "gained"], Boosted]
+    parts: dict[Literal["shift", "spread", "lost", "gained", "early", "late"], Boosted]
+    outliers: dict[Literal["early", "late"], Outliers]
 
 
 class Replay(Kind):

@@ -84,7 +84,7 @@ class AnalogueForest:
             p_echo[rows] = weight.sum(axis=1)
             centre[rows] = quantiles(weight, self.error[:n_echo])
         knots = np.maximum(ping.distance[:, None] + centre, self.resolution)
-        return QuantileLaw(ping, np.minimum(p_echo, 1.0), knots, self.resolution, self.max_range)
+        return QuantileLaw(ping.distance, np.minimum(p_echo, 1.0), knots, self.resolution, self.max_range)
 
     def to_dict(self) -> dict[str, object]:
         """Return the model as plain data; errors of readings without an echo are null."""

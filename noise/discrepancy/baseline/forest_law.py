@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from acquisition import Ping
 from acquisition.arrays import Floats, Ints
 from noise.law import EchoLaw
 
@@ -24,8 +23,8 @@ class QuantileLaw(EchoLaw):
 
     uniform_per_ping = True
 
-    def __init__(self, ping: Ping, p_echo: Floats, knots: Floats, resolution: float, max_range: float) -> None:
-        super().__init__(ping.distance, resolution, max_range)
+    def __init__(self, distance: Floats, p_echo: Floats, knots: Floats, resolution: float, max_range: float) -> None:
+        super().__init__(distance, resolution, max_range)
         self.p_echo, self.knots = p_echo, knots
         # rows are shifted apart, so that one sorted array serves the search in all of them
         self._shift = np.arange(len(knots)) * (1.0 + 2.0 * float(knots.max(initial=0.0)))

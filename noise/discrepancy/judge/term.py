@@ -23,7 +23,9 @@ from sklearn.ensemble import GradientBoostingRegressor
 from acquisition import Ping, Reading
 from acquisition.arrays import Floats, Ints
 from noise.discrepancy.baseline.adjusted import (
+    EARLY,
     GAINED,
+    LATE,
     LOST,
     SHIFT,
     SPREAD,
@@ -31,10 +33,11 @@ from noise.discrepancy.baseline.adjusted import (
     AdjustedLaw,
     Amounts,
     Boosted,
+    Outliers,
 )
 from noise.discrepancy.baseline.trees import Trees, columns, input_groups
 from noise.discrepancy.judge.held_out import beyond_chance
-from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, contrast_of
+from noise.discrepancy.locate.orthogonal import MIN_VARIANCE, RATES, contrast_of
 from noise.discrepancy.moments.sample import Sample
 from noise.discrepancy.moments.scores import ASPECTS, LIMIT, scores_of_both
 from noise.discrepancy.result import Aspect
@@ -71,10 +74,12 @@ class CrossFittedModel:
     Attributes:
         model: the model.
         amount: of the term at each reading.
+        outliers: of the term.
     """
 
     model: SonarModel
     amount: Amounts
+    outliers: Mapping[str, Outliers]
 
     @property
     def resolution(self) -> float:
@@ -88,7 +93,7 @@ class CrossFittedModel:
 
     def law(self, ping: Ping, past: Reading | None = None) -> AdjustedLaw:
         """Return the law of the pings of these readings, (n,)."""
-        return AdjustedLaw(self.model.law(ping, past), self.amount)
+        return AdjustedLaw(self.model.law(ping, past), self.amount, self.outliers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +102,18 @@ class Term:
 
     Attributes:
         parts: functions of a ping, by name.
+        outliers: where echoes before and behind the target are, if they are parts.
         recorded, simulated: their values by trees that lack the cluster of a ping, by its row in each file.
     """
 
     parts: Mapping[str, Boosted]
+    outliers: Mapping[str, Outliers]
     recorded: Mapping[str, pd.Series]
     simulated: Mapping[str, pd.Series]
 
     def on(self, model: SonarModel) -> Adjusted:
         """Return a model with the term."""
-        return Adjusted(model, self.parts)
+        return Adjusted(model, self.parts, self.outliers)
 
     def cross_fitted(self, model: SonarModel, batch: Batch, simulated: bool = False) -> CrossFittedModel:
         """Return a model with the term for readings of one of the files, as it is without their clusters."""
@@ -114,7 +121,7 @@ class Term:
         for name, part in self.parts.items():
             known = values[name].reindex(batch.row).to_numpy()
             amount[name] = np.where(np.isnan(known), part(batch.ping, batch.past), known)
-        return CrossFittedModel(model, amount)
+        return CrossFittedModel(model, amount, self.outliers)
 
 
 def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Generator) -> Term | None:
@@ -132,11 +139,14 @@ def term_of(recorded: Stack, simulated: Stack, sample: Sample, rng: np.random.Ge
     found = Residuals(recorded, simulated, few, rng).parts()
     if not found:
         return None
+    every = {name: _outliers(few.recorded, name) for name in (EARLY, LATE) if name in found}
+    outliers = {name: each for name, each in every.items() if each is not None}
+    found = {name: each for name, each in found.items() if name not in every or name in outliers}
     files = [
         {name: pd.Series(each.cross_fitted[rows], batch.row) for name, each in found.items()}
         for rows, batch in zip((few.is_recorded, ~few.is_recorded), few.batches, strict=False)
     ]
-    return Term({name: each.function for name, each in found.items()}, files[0], files[-1])
+    return Term({name: each.function for name, each in found.items()}, outliers, files[0], files[-1])
 
 
 class Residuals:
@@ -161,7 +171,8 @@ class Residuals:
         shift = self._shift()
         shifts = shift is not None and beyond_chance(shift.gain)
         found = {SHIFT: shift, SPREAD: self._spread(shift if shifts else None)}
-        rates = {LOST: self._rate(lost=True), GAINED: self._rate(lost=False)}
+        found |= {EARLY: self._rate(Aspect.EARLY), LATE: self._rate(Aspect.LATE)}
+        rates = {LOST: self._rate(Aspect.DETECTION, lost=True), GAINED: self._rate(Aspect.DETECTION)}
         better = max(rates, key=lambda name: 0.0 if (each := rates[name]) is None else float(each.gain.sum()))
         found[better] = rates[better]
         return {name: each for name, each in found.items() if each is not None and beyond_chance(each.gain)}
@@ -180,20 +191,21 @@ class Residuals:
             residual = residual - contrast * 0.5 * np.clip(shift.cross_fitted / self.scored.sigma, -LIMIT, LIMIT) ** 2
         return self._learned(residual, contrast, valid)
 
-    def _rate(self, lost: bool) -> Learned | None:
-        """Return the share of echoes that are lost, or of silence that becomes an echo."""
-        known = self._residual(Aspect.DETECTION)
+    def _rate(self, aspect: Aspect, lost: bool = False) -> Learned | None:
+        """Return the share of other pings that are so too, or of those that are which no longer are."""
+        known = self._residual(aspect)
         if known is None:
             return None
         residual, contrast, valid = known
-        rate = np.clip(self.sample_echo - residual, MIN_RATE, 1.0 - MIN_RATE)
+        rate = np.clip(self._is(aspect) - residual, MIN_RATE, 1.0 - MIN_RATE)
         weight = valid / np.maximum(rate * (1.0 - rate), MIN_VARIANCE)
         return self._learned(residual, contrast, weight, -rate if lost else 1.0 - rate)
 
-    @cached_property
-    def sample_echo(self) -> Floats:
-        """Whether each ping has an echo, (n,)."""
-        return np.concatenate([batch.reading.echo for batch in self.sample.batches]).astype(np.float64)
+    def _is(self, aspect: Aspect) -> Floats:
+        """Return whether each ping has an echo, or one before or behind the target, (n,)."""
+        a = ASPECTS.index(aspect)
+        rate = self.scored.probability[:, RATES.index(aspect)]
+        return np.where(self.scored.valid[:, a], np.rint(self.scored.value[:, a] + rate), 0.0)
 
     def _residual(self, aspect: Aspect) -> tuple[Floats, Floats, Floats] | None:
         """Return an aspect's residual in natural units, D - m(x), and where both exist, (n,) each."""
@@ -277,6 +289,13 @@ def _function(grown: GradientBoostingRegressor, typical: Mapping[str, float], re
     value = np.concatenate([np.where(each.children_left < 0, RATE * each.value[:, 0, 0], 0.0) for each in trees])
     times = float(recorded.ping.time.min()), float(recorded.ping.time.max())
     return Boosted(tuple(typical), times, np.array([*typical.values()]), Trees.of(trees), value)
+
+
+def _outliers(recorded: Batch, name: str) -> Outliers | None:
+    """Return where the echoes before or behind the target are; None where there is none."""
+    error = recorded.error
+    rows = recorded.is_outlier(error) & ((error < 0.0) if name == EARLY else (error > 0.0))
+    return Outliers.of(recorded.reading.range[rows], recorded.ping.distance[rows]) if rows.any() else None
 
 
 def _units(sample: Sample) -> Ints:

@@ -10,7 +10,19 @@ from sklearn.ensemble import GradientBoostingRegressor
 
 from acquisition import ModelError, Ping
 from noise import GaussianModel, load_model, save_model
-from noise.discrepancy.baseline.adjusted import GAINED, LOST, SHIFT, SPREAD, Adjusted, AdjustedLaw, Boosted
+from noise.discrepancy.baseline.adjusted import (
+    EARLY,
+    GAINED,
+    LATE,
+    LOST,
+    SHIFT,
+    SPREAD,
+    Adjusted,
+    AdjustedLaw,
+    Boosted,
+    Outliers,
+)
+from noise.discrepancy.baseline.forest_law import N_LEVELS
 from noise.discrepancy.baseline.trees import Trees
 
 MODEL = GaussianModel(0.01, 0.02, 0.1)
@@ -21,12 +33,21 @@ amounts = st.fixed_dictionaries(
         SPREAD: st.floats(-2.0, 9.0),
         LOST: st.floats(-2.0, 2.0),
         GAINED: st.floats(-2.0, 2.0),
+        EARLY: st.floats(-2.0, 2.0),
+        LATE: st.floats(-2.0, 2.0),
     }
 )
 
 
+OUTLIERS = {
+    EARLY: Outliers("range", np.linspace(0.3, 0.32, N_LEVELS)),
+    LATE: Outliers("ratio", np.linspace(1.9, 2.1, N_LEVELS)),
+}
+
+
 def adjusted(**amount):
-    return AdjustedLaw(MODEL.law(PING), {name: np.full(len(PING), value) for name, value in amount.items()})
+    parts = {name: np.full(len(PING), value) for name, value in amount.items()}
+    return AdjustedLaw(MODEL.law(PING), parts, {name: each for name, each in OUTLIERS.items() if name in parts})
 
 
 @given(amounts)
@@ -60,6 +81,23 @@ def test_a_share_of_silence_becomes_an_echo():
     np.testing.assert_allclose(adjusted(gained=0.5).no_echo, 0.5 * MODEL.law(PING).no_echo)
 
 
+def test_a_share_of_echoes_is_before_the_target_where_other_such_echoes_were():
+    law, own = adjusted(early=0.25), MODEL.law(PING)
+    np.testing.assert_allclose(law.arrival(0.35), own.arrival(0.35) + 0.25 * (own.echo - own.arrival(0.35)))
+    np.testing.assert_allclose(law.echo, own.echo)
+
+
+@pytest.mark.parametrize(
+    ("form", "place"),
+    [("range", lambda d: 0.7 + 0.0 * d), ("offset", lambda d: d - 0.3), ("ratio", lambda d: 0.6 * d)],
+)
+def test_what_echoes_of_other_reflectors_have_in_common_is_found(form, place):
+    rng, distance = np.random.default_rng(0), np.linspace(1.0, 4.0, 50)
+    found = Outliers.of(place(distance) + rng.normal(0.0, 0.005, 50), distance)
+    assert found.form == form
+    np.testing.assert_allclose(found.law(MODEL.law(PING)).quantile(0.5), place(PING.distance), atol=0.011)
+
+
 def boosted(names=("log_distance",), times=(0.0, 29.0)):
     """Return trees that say 0.03 beyond 2 m, and 0 before."""
     x = np.linspace(0.3, 4.0, 200)
@@ -84,7 +122,7 @@ def test_at_a_time_that_was_not_recorded_it_is_the_mean_of_recorded_ones():
 
 
 def test_a_saved_model_is_the_same_law(tmp_path):
-    model = Adjusted(MODEL, {SHIFT: boosted(), LOST: boosted()})
+    model = Adjusted(MODEL, {SHIFT: boosted(), LOST: boosted(), LATE: boosted()}, {LATE: OUTLIERS[LATE]})
     again = load_model(save_model(model, tmp_path / "model"))
     z = np.linspace(0.1, 5.0, len(PING))
     np.testing.assert_allclose(again.law(PING).arrival(z), model.law(PING).arrival(z), atol=1e-12)
@@ -98,6 +136,16 @@ def test_a_damaged_file_is_a_clear_error(tmp_path, damage):
     folder = save_model(Adjusted(MODEL, {SHIFT: boosted()}), tmp_path / "model")
     data = json.loads((folder / "model.json").read_text())
     data["parts"][SHIFT] |= damage
+    (folder / "model.json").write_text(json.dumps(data))
+    with pytest.raises(ModelError, match=r"model\.json"):
+        load_model(folder)
+
+
+@pytest.mark.parametrize("damage", [{}, {EARLY: {"form": "range", "value": [1.0]}}, {EARLY: {"form": "colour"}}])
+def test_early_echoes_without_a_place_are_a_clear_error(tmp_path, damage):
+    folder = save_model(Adjusted(MODEL, {EARLY: boosted()}, {EARLY: OUTLIERS[EARLY]}), tmp_path / "model")
+    data = json.loads((folder / "model.json").read_text())
+    data["outliers"] = damage
     (folder / "model.json").write_text(json.dumps(data))
     with pytest.raises(ModelError, match=r"model\.json"):
         load_model(folder)

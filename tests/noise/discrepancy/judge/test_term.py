@@ -45,7 +45,12 @@ def first_of_visit(ping, reading, rng):
     return moved(reading, 0.03 * (np.arange(len(ping)) % PINGS == 0))
 
 
-CHANGES = {"shift": longer, "lost": lost, "spread": wider, "order": first_of_visit}
+def early(ping, reading, rng):
+    hit = (rng.random(len(ping)) < 0.4 * (ping.distance > 2.0)) & reading.echo
+    return Reading.of(np.where(hit, np.round(0.6 * reading.range, 3), reading.range))
+
+
+CHANGES = {"early": early, "shift": longer, "lost": lost, "spread": wider, "order": first_of_visit}
 
 
 def pair(change, seed=0):
