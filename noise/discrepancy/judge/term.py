@@ -164,7 +164,9 @@ class Residuals:
         self.scored = scores_of_both(recorded, simulated, sample)
         self.contrast = contrast_of(self.scored, sample, rng)
         self.label = _units(sample)
-        self.fold = rng.permutation(np.arange(int(self.label.max()) + 1) % N_FOLDS)[self.label]
+        n_units = int(self.label.max()) + 1
+        self.n_folds = min(N_FOLDS, n_units)
+        self.fold = rng.permutation(np.arange(n_units) % self.n_folds)[self.label]
 
     def parts(self) -> dict[str, Learned]:
         """Return the parts that gain beyond chance, by name."""
@@ -252,14 +254,14 @@ class Residuals:
     def _boosted(self, names: tuple[str, ...], target: Floats, strength: Floats) -> Learned | None:
         """Return a function of inputs; None where no tree predicts clusters better that it lacks."""
         used = strength > 0.0
-        if any((used & (self.fold != k)).sum() < 2 * MIN_LEAF for k in range(N_FOLDS)):
+        if any((used & (self.fold != k)).sum() < 2 * MIN_LEAF for k in range(self.n_folds)):
             return None
         recorded, *simulated = self.sample.batches
         own = columns(names, recorded.ping, recorded.past, {})
         typical = dict(zip(names, np.median(own, axis=0).tolist(), strict=True))  # of what the recording alone has
         x = np.concatenate([own, *(columns(names, each.ping, each.past, typical) for each in simulated)])
         steps = np.zeros((N_TREES + 1, len(x)))
-        for k in range(N_FOLDS):
+        for k in range(self.n_folds):
             grown, other = used & (self.fold != k), self.fold == k
             model = _boosting(N_TREES, self.rng).fit(x[grown], target[grown], sample_weight=strength[grown])
             steps[1:, other] = list(model.staged_predict(x[other]))

@@ -142,6 +142,14 @@ def test_what_the_recording_alone_logs_is_an_input():
     assert term.on(PhysicalModel([])).law(sunny).shift.mean() == pytest.approx(0.03, abs=0.006)
 
 
+@pytest.mark.parametrize("visits", [1, 2, 4])
+def test_of_few_visits_little_or_nothing_is_learned(visits):
+    files = [Batch.of(recording_of(LOUD, seed=k, visits=visits, pings=60)) for k in range(2)]
+    for sample in (Sample(*files), Sample(files[0], None)):
+        term = term_of(LAW, LAW, sample, np.random.default_rng(0))
+        assert term is None or visits > 1
+
+
 def test_the_same_generator_gives_the_same_term():
     first, second = found(longer), term_of(LAW, LAW, pair(longer), np.random.default_rng(0))
     ping = Ping.of(distance=np.linspace(0.5, 3.3, 20))
