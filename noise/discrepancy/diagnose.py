@@ -243,7 +243,7 @@ def _different(
     data.tell("correcting", 0.9)
     emulator, step_m = data.baseline.emulator, recorded.resolution
     term = empirical_term(judged, search, data.baseline.readings, data.rng("term"))
-    options = Options.of(judged, search, data.forest, data.simulation, emulator, step_m, term)
+    options = Options.of(judged, search, data.forest, data.simulation, data.baseline, step_m, term)
     corrected = options.corrected(data.simulation)
     left = judged.rest
     left = replace(left, description=location_in_words(left.where[0]) if left.where else None)

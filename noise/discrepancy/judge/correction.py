@@ -22,6 +22,7 @@ from acquisition.arrays import Floats
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise.composed import with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
+from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.judge.held_out import (
     Simulation,
     beyond_chance,
@@ -69,9 +70,10 @@ class Option:
         pairs = zip(self.scored, other.scored, strict=False)
         return beyond_chance(np.concatenate([batch.unit_sums(crps - own) for (batch, own), (_, crps) in pairs]))
 
-    def beats(self, model: SonarModel) -> bool:
-        """Return whether the CRPS is less than that of a model which has seen none of the readings, beyond chance."""
-        return self.is_better_than(option_of([model] * len(self.scored), [batch for batch, _ in self.scored]))
+    def beats(self, model: Callable[[Batch], SonarModel]) -> bool:
+        """Return whether the CRPS is less than that of the models of the same visits, beyond chance."""
+        batches = [batch for batch, _ in self.scored]
+        return self.is_better_than(option_of([model(batch) for batch in batches], batches))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +118,7 @@ class Options:
         search: Search,
         forest: Grown,
         before: Simulation,
-        emulator: SonarModel,
+        base: Baseline,
         step_m: float,
         term: Term | None,
     ) -> Options:
@@ -127,23 +129,24 @@ class Options:
             search: readings and candidates.
             forest: of the recording.
             before: the user's simulation.
-            emulator: law that describes the simulation.
+            base: the simulation as a law. What is to hold in other places is scored without simulated readings of a
+                visit's own place.
             step_m: step of the recording's register.
             term: empirical term; None where there is none.
         """
-        parts, with_causes, on_simulation, gain = _parts(search), None, None, False
-        stack = judged.final.single.stack
-        law, without = (offered(each, step_m) for each in (stack, taken_back(stack, search, judged.believed)))
-        shared = [offered(shared_law(search, each, judged.believed), step_m) for each in _stacks(judged)]
+        parts, with_causes, gain = _parts(search), None, False
+        stacks = (judged.final.single.stack, *judged.found.stacks[::-1])
+        shared = [shared_law(search, each, judged.believed) for each in stacks]
+        taken = taken_back(stacks[0], search, judged.believed)
+        law, without, whole = (offered(each, step_m) for each in (stacks[0], taken, shared[0]))
         if judged.believed:
-            laws = [law, *(offered(each, step_m) for each in reversed(judged.found.stacks))]
-            nats = tuple(log_score(each, part) for each, part in zip(laws, parts, strict=False))
-            with_causes = replace(option_of(laws, parts), nats=nats)
-            gain = gains(with_causes, emulator)
+            with_causes = replace(law_option(stacks, parts, base, step_m), model=law)
+            gain = gains(with_causes, law_option([base.law] * len(stacks), parts, base, 0.0))
         on_simulation, with_both = _on_simulation(judged, search, before, step_m, term, parts)
-        with_term = _with_term(term, shared, parts, shared[0])
+        models = [offered(each, step_m) for each in elsewhere(shared, parts, base)]
+        with_term = _with_term(term, models, parts, whole)
         grown = _crossed(forest, search, parts)
-        return cls(with_causes, with_term, on_simulation, with_both, grown, gain, without, shared[0])
+        return cls(with_causes, with_term, on_simulation, with_both, grown, gain, without, whole)
 
     def corrected(self, before: Simulation) -> SonarModel | None:
         """Return the corrected model; None where none gains on the simulation.
@@ -176,16 +179,27 @@ def _improves_on(before: Simulation, option: Option) -> bool:
     return improves(before.gain(*option.scored), before.near.gain(*option.score(CREDENCE_TOLERANCE)))
 
 
-def gains(law: Option, emulator: SonarModel) -> bool:
+def gains(law: Option, emulator: Option) -> bool:
     """Return whether a law with causes predicts visits that it has not seen better than the emulator.
 
     It does in the mean CRPS and in the log score. That the gain is no chance, the probability of the causes says: with
     few visits a second test of the same readings would reject what is certain.
     """
-    batches = [batch for batch, _ in law.scored]
-    before = np.concatenate([crps_of_each(emulator, batch) for batch in batches])
-    nats = sum(float((own - log_score(emulator, b)).sum()) for own, b in zip(law.nats, batches, strict=True))
-    return law.crps < float(before.mean()) and nats > 0.0
+    nats = sum(float((own - other).sum()) for own, other in zip(law.nats, emulator.nats, strict=True))
+    return law.crps < emulator.crps and nats > 0.0
+
+
+def law_option(stacks: Sequence[Stack], parts: Sequence[Batch], base: Baseline, step_m: float) -> Option:
+    """Return the option of the law of each part, with its log scores there."""
+    models = [offered(each, step_m) for each in elsewhere(stacks, parts, base)]
+    nats = tuple(log_score(model, part) for model, part in zip(models, parts, strict=False))
+    return replace(option_of(models, parts), nats=nats)
+
+
+def elsewhere(stacks: Sequence[Stack], parts: Sequence[Batch], base: Baseline) -> list[Stack]:
+    """Return the law of each part as it is without simulated readings of the places of its visits."""
+    pairs = zip(stacks, parts, strict=False)
+    return [law.by_part(Sample(part, base.readings).left_out(base.law)[0]) for law, part in pairs]
 
 
 def offered(stack: Stack, step_m: float) -> SonarModel:
@@ -220,11 +234,6 @@ def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
         return (*whole.score(tolerance), *zip(batches, own, strict=True))
 
     return Option(found.model, score)
-
-
-def _stacks(judged: Judged) -> tuple[Stack, ...]:
-    """Return the law with the believed causes fitted to both folds, and to the fold that each part is not in."""
-    return (judged.final.single.stack, *reversed(judged.found.stacks))
 
 
 def shared_law(search: Search, law: Stack, effects: Sequence[str]) -> Stack:
@@ -275,16 +284,16 @@ def _on_simulation(
     if not isinstance(before.model, AnalogueForest):
         return None, None
     coarse = replace(before.model, resolution=max(before.model.resolution, step_m))
-    whole, elsewhere = (_with_causes(judged, search, each) for each in (coarse, before.elsewhere))
+    whole, other = (_with_causes(judged, search, each) for each in (coarse, before.elsewhere(search.folds.both)))
     if not whole:
         return None, None
-    causes = replace(option_of(elsewhere, parts), model=whole[0]) if judged.believed else None
-    return causes, _with_term(term, elsewhere, parts, whole[0])
+    causes = replace(option_of(other, parts), model=whole[0]) if judged.believed else None
+    return causes, _with_term(term, other, parts, whole[0])
 
 
 def _with_causes(judged: Judged, search: Search, base: SonarModel) -> list[SonarModel]:
     """Return a model with the believed causes of each law, if there are any; none where one cannot act on it."""
-    stacks = _stacks(judged)
+    stacks = (judged.final.single.stack, *judged.found.stacks[::-1])
     if not judged.believed:
         return [base] * len(stacks)
     effects = [{name: stack.effects[name] for name in judged.believed} for stack in stacks]

@@ -13,7 +13,7 @@ from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import Grown, floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.locate.directed import drawn_in_visits
-from noise.discrepancy.moments.sample import positions
+from noise.discrepancy.moments.sample import Sample, positions
 from noise.discrepancy.name.estimates import Z
 from noise.discrepancy.name.hypothesis import standard_error
 from noise.discrepancy.result import LEVEL, HeldOut, Interval, Score
@@ -51,6 +51,7 @@ class Simulation:
         near_excess: the same of the CRPS within the tolerance of credence.
         tolerance: of the CRPS, a share of the true distance; see `crps_with_silence`.
         forest: of the readings; None where the model is none.
+        law: of the emulator; None where the model is none.
     """
 
     model: SonarModel
@@ -59,6 +60,7 @@ class Simulation:
     near_excess: tuple[float, float] = (0.0, 0.0)
     tolerance: float | None = None
     forest: Grown | None = None
+    law: Stack | None = None
 
     @classmethod
     def of(cls, base: Baseline, recorded: Batch, rng: np.random.Generator) -> Simulation:
@@ -79,17 +81,20 @@ class Simulation:
             score = partial(crps_of_each, model, few)
         drawn = drawn_in_visits(base.law, grown.batch, rng)
         excess, near = (_excess(few, score(each), base.law, drawn, each) for each in (None, CREDENCE_TOLERANCE))
-        return cls(model, base.readings, excess, near, forest=forest)
+        return cls(model, base.readings, excess, near, forest=forest, law=base.law if forest is None else None)
 
     @cached_property
     def near(self) -> Simulation:
         """The same, scored within the tolerance of credence: readings that are no use all count alike."""
         return replace(self, excess=self.near_excess, tolerance=CREDENCE_TOLERANCE)
 
-    @cached_property
-    def elsewhere(self) -> SonarModel:
-        """The model as it is for places without readings."""
-        return self.model if self.forest is None else self.forest.elsewhere()
+    def elsewhere(self, batch: Batch) -> SonarModel:
+        """Return the model of readings of the recording as it is without simulated readings of their places."""
+        if self.forest is not None:
+            return self.forest.elsewhere()
+        if self.law is None:
+            return self.model
+        return self.law.by_part(Sample(batch, self.readings).left_out(self.law)[0]).single_ping_model
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""

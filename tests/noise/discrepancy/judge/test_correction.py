@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from noise.discrepancy.baseline.forest import grown
+from noise.discrepancy.baseline.sources import Baseline
 from noise.discrepancy.judge.correction import Option, Options, gains, offered, option_of
 from noise.discrepancy.judge.held_out import Simulation, crps_of_each, log_score
 from noise.discrepancy.name.folds import Folds
@@ -97,7 +98,7 @@ def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
     """It predicts better beyond chance than the law that it corrects, and no better than what is known to be so."""
     unseen, seen, forest = parts
     term = option(model_of(MOVED), unseen, seen)
-    assert term.beats(model_of({**MOVED, "zero_offset": {"offset_m": 0.1}}))
+    assert term.beats(lambda _: model_of({**MOVED, "zero_offset": {"offset_m": 0.1}}))
     worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * each) for b, each in term.score(tolerance)))
     found = [
         options(worse, False, with_term=term).corrected(Simulation(model)) for model in (term.model, model_of(LOUD))
@@ -110,8 +111,9 @@ def test_two_visits_suffice_to_apply_a_cause_that_predicts_them_better(parts, of
     """Between two visits no test reaches 5 %: the probability of the cause says that the gain is no chance."""
     seen = parts[1]
     two = seen.select(seen.visit < 2)
-    law = option(model_of({**LOUD, "zero_offset": {"offset_m": offset_m}}), two)
-    assert gains(replace(law, nats=(log_score(law.model, two),)), model_of(LOUD)) is better
+    models = model_of({**LOUD, "zero_offset": {"offset_m": offset_m}}), model_of(LOUD)
+    law, emulator = (replace(option(each, two), nats=(log_score(each, two),)) for each in models)
+    assert gains(law, emulator) is better
 
 
 def test_what_rests_on_a_forest_is_preferred_to_a_law_only_where_it_is_better_beyond_chance(parts):
@@ -150,7 +152,8 @@ def test_the_law_without_causes_has_all_else_as_the_recording_has_it():
         believed=("zero_offset",), final=SimpleNamespace(single=one), found=SimpleNamespace(stacks=(stack, stack))
     )
     before = Simulation(model_of(LOUD))
-    found = Options.of(judged, search, grown(search.folds.both, rng), before, model_of(LOUD), 0.001, None)
+    base = Baseline(law_of(), None, model_of(LOUD), model_of(LOUD), None)
+    found = Options.of(judged, search, grown(search.folds.both, rng), before, base, 0.001, None)
     law, without = (each.law(batch.ping) for each in (found.causes_only, found.without))
     np.testing.assert_array_equal(without.echo, law.echo)
     heard = law.echo > 0.5
