@@ -176,7 +176,8 @@ def _best(*options: Option | None) -> list[Option]:
 
 
 def _improves_on(before: Simulation, option: Option) -> bool:
-    return improves(before.gain(*option.scored), before.near.gain(*option.score(CREDENCE_TOLERANCE)))
+    gain, near = before.gain(*option.scored), before.near.gain(*option.score(CREDENCE_TOLERANCE))
+    return improves(gain, near, before.error(*option.scored))
 
 
 def gains(law: Option, emulator: Option) -> bool:

@@ -122,7 +122,8 @@ def is_carried(
 ) -> bool:
     """Return whether readings carried from one law to the other predict better beyond chance than the causes do.
 
-    Where no cause acts, and it is sure that the other law is better, it is enough that they predict no worse. Without
+    Where no cause acts, and it is sure that the other law is better, it is enough that they do not predict worse beyond
+    chance: readings of one place may have been made at other temperatures, say, in the other file. Without
     conditions that both files have, causes remain where they act; else a forest of the readings, before and after, says
     what these predict under other conditions.
 
@@ -146,7 +147,8 @@ def is_carried(
         before, after = Simulation(forest.model), forest.of_others(applied(carrying(forest.batch), forest.batch, rng))
         scored = ((each, crps_of_each(after, recorded, each.tolerance)) for each in (before, before.near))
         gain, near = (each.gain((recorded, crps)) for each, crps in scored)
-    return improves(gain, near) if sure and acting is None else beyond_chance(gain)
+    worse = beyond_chance(-gain) or beyond_chance(-near)
+    return not worse if sure and acting is None else beyond_chance(gain)
 
 
 def _applied(model: SonarModel, simulation: Simulation, rng: np.random.Generator) -> Simulation:

@@ -139,13 +139,17 @@ class Simulation:
         """Return the gain over another on each unit of a batch, m, under conditions for which both have readings."""
         return batch.unit_sums(np.nan_to_num(other._by_readings(batch) - self._by_readings(batch)))
 
+    def error(self, *scored: tuple[Batch, Floats]) -> float:
+        """Return the standard error of the sum of the gains of other predictions, m, as far as its scores are estimates."""
+        return sum(self._scored(batch)[1] for batch, _ in scored)
+
     def has_any_of(self, batch: Batch) -> bool:
         """Return whether there are readings under any condition of a batch."""
         return not np.isnan(self._by_readings(batch)).all()
 
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
-        return beyond_chance(self.gain(*scored), sum(self._scored(batch)[1] for batch, _ in scored))
+        return beyond_chance(self.gain(*scored), self.error(*scored))
 
 
 def beyond_chance(gain: Floats, error: float = 0.0) -> bool:
@@ -159,7 +163,7 @@ def beyond_chance(gain: Floats, error: float = 0.0) -> bool:
     return bool(gain.sum() > limit * np.hypot(standard_error(gain), error))
 
 
-def improves(gain: Floats, near: Floats) -> bool:
+def improves(gain: Floats, near: Floats, error: float = 0.0) -> bool:
     """Return whether a correction that is certain for another reason may be trusted to predict no worse.
 
     Where silence counts, a few missed echoes decide the CRPS. It must not be worse beyond chance, and what it gains
@@ -168,8 +172,9 @@ def improves(gain: Floats, near: Floats) -> bool:
     Args:
         gain: in the CRPS, of each visit.
         near: in the CRPS within the tolerance of credence, of each visit.
+        error: further standard error of the sum of the gains.
     """
-    return bool(near.sum() >= 0.0) and not beyond_chance(-gain)
+    return bool(near.sum() >= 0.0) and not beyond_chance(-gain, error)
 
 
 def ends(batch: Batch, tolerance: float | None = None) -> Floats:

@@ -94,6 +94,18 @@ def test_what_a_model_misses_of_the_simulation_does_not_hide_causes_that_surely_
     assert found is (on_it.model if offered_ else None)
 
 
+@pytest.mark.parametrize(("error_m", "offered_"), [(0.0, False), (10.0, True)])
+def test_an_uncertain_score_of_the_simulation_does_not_make_a_certain_correction_worse(parts, error_m, offered_):
+    """What the model misses of the simulation may be estimated from a few missed echoes, and be more than all it has."""
+    seen, forest = parts[1], parts[2]
+    law = option(model_of(MOVED), seen)
+    before = Simulation(model_of(LOUD), excess=(0.5, error_m))
+    assert before.gain(*law.scored).sum() < 0.0
+    worse = Option(forest.model, lambda tolerance: tuple((b, 2.0 * crps) for b, crps in forest.score(tolerance)[1:]))
+    found = options(worse, True, with_causes=law).corrected(before)
+    assert found is (law.model if offered_ else None)
+
+
 def test_a_term_that_mends_the_emulator_alone_is_not_offered(parts):
     """It predicts better beyond chance than the law that it corrects, and no better than what is known to be so."""
     unseen, seen, forest = parts
