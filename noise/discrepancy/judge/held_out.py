@@ -140,7 +140,7 @@ class Simulation:
         return batch.unit_sums(np.nan_to_num(other._by_readings(batch) - self._by_readings(batch)))
 
     def error(self, *scored: tuple[Batch, Floats]) -> float:
-        """Return the standard error of the sum of the gains of other predictions, m, as far as its scores are estimates."""
+        """Return the standard error of the sum of gains, m, as far as the scores of the simulation are estimates."""
         return sum(self._scored(batch)[1] for batch, _ in scored)
 
     def has_any_of(self, batch: Batch) -> bool:

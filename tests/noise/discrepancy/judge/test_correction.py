@@ -96,7 +96,7 @@ def test_what_a_model_misses_of_the_simulation_does_not_hide_causes_that_surely_
 
 @pytest.mark.parametrize(("error_m", "offered_"), [(0.0, False), (10.0, True)])
 def test_an_uncertain_score_of_the_simulation_does_not_make_a_certain_correction_worse(parts, error_m, offered_):
-    """What the model misses of the simulation may be estimated from a few missed echoes, and be more than all it has."""
+    """What the model misses of the simulation may be estimated from few missed echoes, and exceed all it has."""
     seen, forest = parts[1], parts[2]
     law = option(model_of(MOVED), seen)
     before = Simulation(model_of(LOUD), excess=(0.5, error_m))
