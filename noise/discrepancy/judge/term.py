@@ -47,7 +47,7 @@ from noise.model import SonarModel
 
 MAX_PINGS = 4000  # of each file, thinned by visit; bounds the time
 N_FOLDS = 5
-N_TREES, RATE, DEPTH, MIN_LEAF = 60, 0.1, 2, 20  # most trees; step, depth and least pings of a leaf; chosen here
+N_TREES, RATE, DEPTH, MIN_LEAF = 30, 0.2, 2, 20  # most trees; step, depth and least pings of a leaf; chosen here
 MIN_CONTRAST = 0.02  # smallest divisor
 MIN_RATE = 0.01  # of echoes or of silence
 
@@ -174,9 +174,7 @@ class Residuals:
         shifts = shift is not None and beyond_chance(shift.gain)
         found = {SHIFT: shift, SPREAD: self._spread(shift if shifts else None)}
         found |= {EARLY: self._rate(Aspect.EARLY), LATE: self._rate(Aspect.LATE)}
-        rates = {LOST: self._rate(Aspect.DETECTION, lost=True), GAINED: self._rate(Aspect.DETECTION)}
-        better = max(rates, key=lambda name: 0.0 if (each := rates[name]) is None else float(each.gain.sum()))
-        found[better] = rates[better]
+        found |= self._echoes()
         return {name: each for name, each in found.items() if each is not None and beyond_chance(each.gain)}
 
     def _shift(self) -> Learned | None:
@@ -193,10 +191,16 @@ class Residuals:
             residual = residual - contrast * 0.5 * np.clip(shift.cross_fitted / self.scored.sigma, -LIMIT, LIMIT) ** 2
         return self._learned(residual, contrast, valid)
 
+    def _echoes(self) -> dict[str, Learned | None]:
+        """Return the share of echoes that are lost where these are fewer, or else of silence that becomes an echo."""
+        known = self._residual(Aspect.DETECTION)
+        fewer = known is not None and float(known[0] @ (known[1] * known[2])) < 0.0
+        return {LOST if fewer else GAINED: self._rate(Aspect.DETECTION, lost=fewer)}
+
     def _rate(self, aspect: Aspect, lost: bool = False) -> Learned | None:
         """Return the share of other pings that are so too, or of those that are which no longer are."""
         known = self._residual(aspect)
-        if known is None:
+        if known is None or min(np.sum(self._is(aspect) == each) for each in (0.0, 1.0)) < MIN_LEAF:
             return None
         residual, contrast, valid = known
         rate = np.clip(self._is(aspect) - residual, MIN_RATE, 1.0 - MIN_RATE)

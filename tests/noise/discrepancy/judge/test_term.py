@@ -17,7 +17,7 @@ from tests.noise.discrepancy.made import PLACEMENT_M, model_of, recording_of
 
 LOUD = {"sensitivity": {"loss_db": 0.0}}
 LAW = Stack.of(model_of(LOUD)).put([PLACEMENT], [PLACEMENT_M])
-VISITS, PINGS = 120, 12
+VISITS, PINGS = 80, 12
 
 
 def changed(recording, change, seed):
