@@ -256,8 +256,8 @@ def _different(
     acting, left_out = difference(judged, search, options, emulator, step_m)
     if acting is not None and worsens(acting, data.simulation, data.folds.unseen, data.rng("acting")):
         acting, left_out = None, dict.fromkeys(judged.believed, WORSE)
-    readings, forest = data.simulation, data.baseline.forest
-    carrying = transport(search, options, term, corrected, acting, readings, forest, data.batch, data.rng("transport"))
+    simulation, forest, rng = data.simulation, data.baseline.forest, data.rng("transport")
+    carrying = transport(search, options, term, corrected, acting, simulation, forest, data.batch, rng)
     acting, left_out = (acting, left_out) if carrying is None else (carrying, {})
     likely = {p.effect: p.likely for p in judged.places}
     return replace(diagnosis, difference=acting, left_out=left_out, evidence=judged.evidence, likely=likely)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from acquisition import Ping, Recording
 from acquisition.ping import RANGE_RATE
 
-MIN_BLOCK = (
-    3.0  # mean number of consecutive pings of one condition from which a return to it is another visit; chosen here
-)
+# mean number of consecutive pings of one condition from which a return to it is another visit; chosen here
+MIN_BLOCK = 3.0
 VISIT_PINGS = 25  # length of a visit where conditions never repeat (a moving robot); chosen here
 MIN_VISITS = 8  # with fewer, no bootstrap over visits means anything, and each is cut into visits of `VISIT_PINGS`
 

@@ -18,13 +18,13 @@ from acquisition.brief import brief
 from noise.discrepancy.baseline.forest_law import N_LEVELS, QuantileLaw, quantiles
 from noise.discrepancy.baseline.similarity import Similarity, similarity
 from noise.discrepancy.baseline.trees import input_groups, outcomes
+from noise.discrepancy.moments.sample import places
 from noise.fitting.batch import Batch
 from noise.fitting.visit_effects import FLOOR
 from noise.law import EchoLaw
 from noise.metrics import crps_with_silence
 from noise.model import MAX_RANGE, SonarModel
 
-RARE = 1e-12  # smallest divisor
 MAX_PINGS = 4000  # of the forest, thinned by visit; bounds time and the size of the file
 
 
@@ -117,18 +117,13 @@ def _elsewhere(weight: csr_array, place: Ints, stored: Ints) -> csr_array:
     row = np.repeat(np.arange(len(place)), np.diff(weight.indptr))
     value = np.where(stored[weight.indices] == place[row], 0.0, weight.data)
     left = np.bincount(row, value, len(place))
-    value = np.where(left[row] > 0.0, value / np.maximum(left[row], RARE), weight.data)
+    value = np.divide(value, left[row], out=weight.data.copy(), where=left[row] > 0.0)
     return csr_array((value, weight.indices, weight.indptr), shape=weight.shape)
 
 
 def errors(batch: Batch) -> Floats:
     """Return the error of each reading, m, (n,); infinite for no echo."""
     return np.where(batch.reading.echo, batch.error, np.inf)
-
-
-def places(ping: Ping) -> Floats:
-    """Return the place of the target of n pings: distance, angle, incidence and reflectance, rounded, (n, 4)."""
-    return np.asarray(np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1), 6))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise.composed import with_differences
 from noise.discrepancy.baseline.forest import AnalogueForest, Grown
@@ -29,6 +29,7 @@ from noise.discrepancy.judge.held_out import (
     crps_of_each,
     improves,
     log_score,
+    part_of_place,
 )
 from noise.discrepancy.judge.judged import Judged, taken_back
 from noise.discrepancy.judge.term import Term, term_of
@@ -135,16 +136,16 @@ class Options:
             term: empirical term; None where there is none.
         """
         parts, with_causes, gain = _parts(search), None, False
-        stacks = (judged.final.single.stack, *judged.found.stacks[::-1])
+        stacks = _stacks(judged)
+        places = [part_of_place(base.law, part, base.readings) for part in parts]
         shared = [shared_law(search, each, judged.believed) for each in stacks]
         taken = taken_back(stacks[0], search, judged.believed)
         law, without, whole = (offered(each, step_m) for each in (stacks[0], taken, shared[0]))
         if judged.believed:
-            with_causes = replace(law_option(stacks, parts, base, step_m), model=law)
-            gain = gains(with_causes, law_option([base.law] * len(stacks), parts, base, 0.0))
+            with_causes = replace(_law_option(elsewhere(stacks, places, step_m), parts), model=law)
+            gain = gains(with_causes, _law_option(elsewhere([base.law] * len(stacks), places, 0.0), parts))
         on_simulation, with_both = _on_simulation(judged, search, before, step_m, term, parts)
-        models = [offered(each, step_m) for each in elsewhere(shared, parts, base)]
-        with_term = _with_term(term, models, parts, whole)
+        with_term = _with_term(term, elsewhere(shared, places, step_m), parts, whole)
         grown = _crossed(forest, search, parts)
         return cls(with_causes, with_term, on_simulation, with_both, grown, gain, without, whole)
 
@@ -190,17 +191,21 @@ def gains(law: Option, emulator: Option) -> bool:
     return law.crps < emulator.crps and nats > 0.0
 
 
-def law_option(stacks: Sequence[Stack], parts: Sequence[Batch], base: Baseline, step_m: float) -> Option:
-    """Return the option of the law of each part, with its log scores there."""
-    models = [offered(each, step_m) for each in elsewhere(stacks, parts, base)]
+def _law_option(models: Sequence[SonarModel], parts: Sequence[Batch]) -> Option:
+    """Return the option of a law for each part, with its log scores there."""
     nats = tuple(log_score(model, part) for model, part in zip(models, parts, strict=False))
     return replace(option_of(models, parts), nats=nats)
 
 
-def elsewhere(stacks: Sequence[Stack], parts: Sequence[Batch], base: Baseline) -> list[Stack]:
-    """Return the law of each part as it is without simulated readings of the places of its visits."""
-    pairs = zip(stacks, parts, strict=False)
-    return [law.by_part(Sample(part, base.readings).left_out(base.law)[0]) for law, part in pairs]
+def elsewhere(stacks: Sequence[Stack], places: Sequence[Ints], step_m: float) -> list[SonarModel]:
+    """Return the model of each part as it is without simulated readings of the places of its visits.
+
+    Args:
+        stacks: law of each part.
+        places: see `part_of_place`, of each part, (n,).
+        step_m: least step of the register, m.
+    """
+    return [offered(law.by_part(place), step_m) for law, place in zip(stacks, places, strict=False)]
 
 
 def offered(stack: Stack, step_m: float) -> SonarModel:
@@ -237,6 +242,11 @@ def _crossed(found: Grown, search: Search, parts: tuple[Batch, ...]) -> Option:
     return Option(found.model, score)
 
 
+def _stacks(judged: Judged) -> tuple[Stack, ...]:
+    """Return the law with the believed causes fitted to both folds, and to the fold that each part is not in."""
+    return (judged.final.single.stack, *judged.found.stacks[::-1])
+
+
 def shared_law(search: Search, law: Stack, effects: Sequence[str]) -> Stack:
     """Return the law of the simulation with the causes of a law of the recording: nuisances are no differences."""
     keys = search.differing(effects)
@@ -257,7 +267,7 @@ def empirical_term(judged: Judged, search: Search, readings: Batch | None, rng: 
 
 
 def _with_term(
-    term: Term | None, models: Sequence[SonarModel], parts: Sequence[Batch], offered: SonarModel
+    term: Term | None, models: Sequence[SonarModel], parts: Sequence[Batch], whole: SonarModel
 ) -> Option | None:
     """Return the option of a model with the empirical term; None where that is not better beyond chance.
 
@@ -265,12 +275,12 @@ def _with_term(
         term: the term; None where there is none.
         models: models that predict the parts.
         parts: visits.
-        offered: the model for all conditions.
+        whole: the model for all conditions.
     """
     if term is None:
         return None
     fitted = [term.cross_fitted(model, part) for model, part in zip(models, parts, strict=False)]
-    found = replace(option_of(fitted, parts), model=term.on(offered))
+    found = replace(option_of(fitted, parts), model=term.on(whole))
     return found if found.is_better_than(option_of(models, parts)) else None
 
 
@@ -294,9 +304,8 @@ def _on_simulation(
 
 def _with_causes(judged: Judged, search: Search, base: SonarModel) -> list[SonarModel]:
     """Return a model with the believed causes of each law, if there are any; none where one cannot act on it."""
-    stacks = (judged.final.single.stack, *judged.found.stacks[::-1])
     if not judged.believed:
-        return [base] * len(stacks)
-    effects = [{name: stack.effects[name] for name in judged.believed} for stack in stacks]
+        return [base] * len(_stacks(judged))
+    effects = [{name: stack.effects[name] for name in judged.believed} for stack in _stacks(judged)]
     pairs = [with_differences(base, search.common.effects, each) for each in effects]
     return [] if any(left_out for _, left_out in pairs) else [composed for composed, _ in pairs]

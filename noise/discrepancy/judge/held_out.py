@@ -8,7 +8,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.stats import t as student
 
-from acquisition.arrays import Floats
+from acquisition.arrays import Floats, Ints
 from acquisition.ping import CREDENCE_TOLERANCE
 from noise.discrepancy.baseline.forest import Grown, floored_log_prob
 from noise.discrepancy.baseline.sources import Baseline
@@ -94,7 +94,7 @@ class Simulation:
             return self.forest.elsewhere()
         if self.law is None:
             return self.model
-        return self.law.by_part(Sample(batch, self.readings).left_out(self.law)[0]).single_ping_model
+        return self.law.by_part(part_of_place(self.law, batch, self.readings)).single_ping_model
 
     def crps_of_each(self, batch: Batch) -> Floats:
         """Return the CRPS of each reading with silence counted, m, (n,); an estimate where it has no readings."""
@@ -150,6 +150,19 @@ class Simulation:
     def is_beaten(self, *scored: tuple[Batch, Floats]) -> bool:
         """Return whether other predictions of batches, with CRPS (n,), are better beyond chance."""
         return beyond_chance(self.gain(*scored), self.error(*scored))
+
+
+def part_of_place(law: Stack, batch: Batch, readings: Batch | None) -> Ints:
+    """Return the part of the simulation's readings that holds the place of each reading of the recording, (n,).
+
+    A law `by_part` of these is as it is without simulated readings of the places.
+
+    Args:
+        law: of the simulation.
+        batch: readings of the recording.
+        readings: of the simulation; None where its law is known exactly.
+    """
+    return Sample(batch, readings).left_out(law)[0]
 
 
 def beyond_chance(gain: Floats, error: float = 0.0) -> bool:

@@ -198,10 +198,14 @@ def moves(batch: Batch) -> bool:
     return is_continuous(batch) and not bool(batch.stationary.all())
 
 
+def places(ping: Ping) -> Floats:
+    """Return distance, angle, incidence and reflectance of n pings, rounded, (n, 4)."""
+    return np.asarray(np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1), 6))
+
+
 def positions(batch: Batch) -> Floats:
     """Return distance, angle, incidence and reflectance of each visit, (n_visits, 4)."""
-    ping = batch.ping
-    return np.round(np.stack([ping.distance, ping.angle, ping.incidence, ping.reflectance], axis=1)[batch.starts], 6)
+    return places(batch.ping)[batch.starts]
 
 
 def stay_in_place(batches: Sequence[Batch]) -> bool:
